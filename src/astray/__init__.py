@@ -3,8 +3,6 @@
 This package exports the names that most users need; the submodules hold the rest.
 """
 
-from __future__ import annotations
-
 import importlib
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any

@@ -1,7 +1,5 @@
 """Means with confidence intervals, and how they are written."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 from typing import Any, Self

@@ -1,7 +1,5 @@
 """Safe files: bounded reads, atomic writes, locks, and removal of astray's own files alone."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

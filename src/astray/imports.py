@@ -1,7 +1,5 @@
 """Import of users' objects by name, "module:attribute", as in entry points."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import sys

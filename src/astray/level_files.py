@@ -1,7 +1,5 @@
 """Levels in files, as drawings or JSON."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Checks that there is enough memory, before it is allocated."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath

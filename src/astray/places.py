@@ -1,7 +1,5 @@
 """Positions of an agent in games whose states hold its centre as reals x and y."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

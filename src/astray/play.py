@@ -1,7 +1,5 @@
 """A window for playing a game, with the agent's observation beside it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from astray import imports

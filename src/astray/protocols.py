@@ -3,8 +3,6 @@
 `s` is a state, `p` the record of a variant. Compiled functions are made by `kernel.jit.kernel`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

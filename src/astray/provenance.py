@@ -3,8 +3,6 @@
 The code is found by following imports from the given functions, also imports within functions.
 """
 
-from __future__ import annotations
-
 import codecs
 import contextlib
 import functools

@@ -1,7 +1,5 @@
 """The record that holds one environment's state, and its validity checks."""
 
-from __future__ import annotations
-
 import reprlib
 from collections.abc import Callable, Sequence
 from typing import Any

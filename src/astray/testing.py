@@ -7,8 +7,6 @@ The checks derive everything from the game's actions, goals and abilities. A fai
 AssertionError.
 """
 
-from __future__ import annotations
-
 import functools
 import logging
 import time

@@ -1,7 +1,5 @@
 """Validation of arguments, and safe display of what was given."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import reprlib
@@ -144,7 +142,7 @@ class _Bounded(reprlib.Repr):
 
     def repr1(self, x: Any, level: int) -> str:
         self.left -= 1
-        if _is_endless(x):
+        if isinstance(x, int) and x.bit_length() > 10_000:  # more than Python writes out
             return f"a number of {x.bit_length()} bits"
         return super().repr1(x, level) if self.left >= 0 else "..."
 
@@ -174,7 +172,3 @@ def brief(error: object) -> str:
     """Return an error, or other text of a stranger, cut off because it may be long."""
     text = str(error)
     return text if len(text) <= 300 else f"{text[:297]}..."
-
-
-def _is_endless(given: Any) -> bool:
-    return isinstance(given, int) and given.bit_length() > 10_000  # more than Python writes out

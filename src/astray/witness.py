@@ -1,7 +1,5 @@
 """The record of what happens in the environments of a `World`, and of whether levels repeat."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import cache
 from math import isfinite

@@ -1,7 +1,5 @@
 """Agents: policies that take shortest ways to a goal and err with probability eps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Literal

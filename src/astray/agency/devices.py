@@ -1,7 +1,5 @@
 """Devices: tables from observation to action, with a fraction eps of random actions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args

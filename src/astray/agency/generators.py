@@ -1,7 +1,5 @@
 """Trajectories for tests of the measure: the paper's four types, and policies without a goal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

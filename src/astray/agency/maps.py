@@ -3,8 +3,6 @@
 Rows go from the top down.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

@@ -5,8 +5,6 @@ linearly solvable decision problem, Todorov 2006; the likelihood p ~ exp(R) of L
 Section 2). w -> 1 is the random walk; w -> 0 takes all shortest ways equally often.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import logsumexp
 

@@ -9,8 +9,6 @@ All evidence is a natural logarithm (nats). The two presets:
                 (eps ~ Beta(1, 2)).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal

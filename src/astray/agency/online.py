@@ -1,7 +1,5 @@
 """Evidence step by step, and agents that change their goals."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Joint evidence of many episodes, which need not share one explanation."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import softmax
 

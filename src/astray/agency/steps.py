@@ -9,8 +9,6 @@ so a trajectory is summarised by its number of steps of each kind:
 A policy that is indifferent has k = L, and probability 1 / L for any eps.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal

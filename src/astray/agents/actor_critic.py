@@ -1,7 +1,5 @@
 """Base classes of astray's networks: linear policy and value heads on one hidden layer."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

@@ -8,10 +8,7 @@ al. 2022). Policy and value see the places with salient colours, wherever these 
 over all places learns the smallest mazes as fast, but then learns nothing about larger ones.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
-from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -95,7 +92,8 @@ class Cells(Pixels):
         self.rows: Tensor
         self.columns: Tensor
         for name, side in (("rows", height), ("columns", width)):
-            self.register_buffer(name, _windows(first_pixels(side)), persistent=False)
+            pixels = [k + offset for k in first_pixels(side) for offset in range(WINDOW)]
+            self.register_buffer(name, torch.tensor(pixels), persistent=False)
         self.add_heads(FEATURES, actions)
         nn.init.normal_(self.attention.score.weight)
         with torch.no_grad():
@@ -119,7 +117,3 @@ class Cells(Pixels):
         held = torch.cat([state, stem], 1).flatten(2)
         spots = torch.bmm(attention.to(held.dtype), held.transpose(1, 2)).flatten(1)
         return self.features(spots)
-
-
-def _windows(first: Sequence[int]) -> Tensor:
-    return torch.tensor([k + offset for k in first for offset in range(WINDOW)])

@@ -9,8 +9,6 @@ Every activation is a named module, so that hooks can read and change it: `block
 `block1.conv1`, `block2.conv1`, `block2.conv2`, `block3.conv1` and `block4.conv1`.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 
 import torch

@@ -6,8 +6,6 @@ information from one place can reach all others within a tick ("An Investigation
 Planning", arXiv:1901.03559, section 2).
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Callable
 

@@ -5,8 +5,6 @@ operation to record instead of ten in every step. `patch+gru` trains 1.5 times a
 minibatches of 4 environments.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

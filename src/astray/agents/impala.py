@@ -4,8 +4,6 @@ Every activation is a named module, so that hooks can read and change it:
 `block2.residual1.relu1`, `block3.pool`, `features.relu`, ...
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 
 import torch

@@ -1,7 +1,5 @@
 """A perceptron with two hidden layers for symbolic observations, which a CPU trains in minutes."""
 
-from __future__ import annotations
-
 import math
 from collections import OrderedDict
 from typing import Any

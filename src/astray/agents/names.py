@@ -1,7 +1,5 @@
 """Names of networks. Without torch, since most of the command line needs only names."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -5,8 +5,6 @@ Nearly all multiplications of the paper's network are in its first two blocks, o
 read and change it: `body.relu1`, `body.residual1.relu2`, `features.relu`, ...
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 
 import torch

@@ -1,7 +1,5 @@
 """Files of trained networks, with all that is needed to rebuild and evaluate them."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from collections.abc import Callable, Iterator

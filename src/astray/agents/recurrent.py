@@ -1,7 +1,5 @@
 """Networks with memory: the interface, and a recurrent cell for any of astray's networks."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

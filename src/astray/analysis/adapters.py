@@ -1,7 +1,5 @@
 """Adapters: functions, models of other libraries, and running trainings as policies."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Agent or device, and for which goal: the agency measure for games of cells."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

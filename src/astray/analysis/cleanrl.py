@@ -7,8 +7,6 @@ A checkpoint is the `state_dict` of a script's agent, with a body `network`, an 
 `ppo_procgen.py` IMPALA's. Nothing in a file is run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal

@@ -9,8 +9,6 @@ Values have the unit of the training's rewards: with `normalise_reward`, standar
 returns, as in the paper.
 """
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Callable, Mapping, Sized
 from dataclasses import replace

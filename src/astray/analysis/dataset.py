@@ -8,8 +8,6 @@ level, step, observation, state, and what was done there: action, reward, termin
 Minari's layout is data/main_data.hdf5, which its readers accept.
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import json
@@ -306,6 +304,7 @@ def write_minari(
     env.close()
     assert isinstance(taken, spaces.Discrete)
     _check_room(folder)
+    named = "".join(c if c.isalnum() else "-" for c in about["policy"])
     storage = MinariStorage.new(
         folder.absolute() / "data",
         observation_space=seen,
@@ -316,7 +315,7 @@ def write_minari(
     )
     storage.update_metadata(
         {
-            "dataset_id": f"astray/{folder_name(about)}-v0",
+            "dataset_id": f"astray/{about['game']}/{named}-v0",
             "algorithm_name": about["policy"],
             "author": set(),
             "author_email": set(),
@@ -352,11 +351,6 @@ def _check_room(folder: Path, size: int = 0) -> None:
     """Raise OSError unless the disk has room for so many bytes; HDF5 would end the process."""
     if shutil.disk_usage(folder).free < SPARED + 2 * size:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
-
-
-def folder_name(about: Mapping[str, Any]) -> str:
-    """Return a name for a data set in Minari's style."""
-    return f"{about['game']}/{''.join(c if c.isalnum() else '-' for c in about['policy'])}"
 
 
 def _last(count: int, flag: bool) -> list[bool]:

@@ -14,8 +14,6 @@ the equivalent number of independent episodes, which stays within 0 and 1 and al
 No random numbers are used. `tests/analysis/test_coverage.py` simulates the coverage.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

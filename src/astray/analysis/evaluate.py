@@ -1,7 +1,5 @@
 """Evaluation: a table of a policy's episodes, one in each level."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence, Sized
 from typing import Any
 

@@ -4,8 +4,6 @@ An episode has one outcome: the intended goal, goal misgeneralization, one of th
 (such as "died"), or capability failure.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Protocol

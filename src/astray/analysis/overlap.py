@@ -1,7 +1,5 @@
 """Overlap of test and training levels: equal levels with different numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from hashlib import blake2b
 from itertools import chain, pairwise

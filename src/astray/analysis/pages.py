@@ -1,7 +1,5 @@
 """Pages and cards from templates, which lie beside the code that fills them."""
 
-from __future__ import annotations
-
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 

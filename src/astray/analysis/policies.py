@@ -1,7 +1,5 @@
 """Scripted policies for base rates; `trained` has learned ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

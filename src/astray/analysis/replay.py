@@ -1,7 +1,5 @@
 """Replay of given actions in one level."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice

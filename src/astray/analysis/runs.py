@@ -1,7 +1,5 @@
 """Evaluation of trained agents beside the base rates of scripted policies."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Atomic files of tables."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

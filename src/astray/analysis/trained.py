@@ -4,8 +4,6 @@ An `Agent` comes from a file of astray's, a `Network` is any torch module of you
 any other policy, for analyses that also accept one without a network.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Callable, Iterator

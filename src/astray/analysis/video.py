@@ -1,7 +1,5 @@
 """Videos of episodes, alone and side by side, as MP4 and GIF."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

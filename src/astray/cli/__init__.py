@@ -1,7 +1,5 @@
 """The command line: one plain function per verb, with readable errors."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

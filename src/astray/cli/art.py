@@ -1,7 +1,5 @@
 """The verb for pictures: list them, or import the original's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """The verb that audits one agent."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The verb for compiled code: list it, or remove outdated code."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

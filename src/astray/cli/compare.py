@@ -1,7 +1,5 @@
 """The verb that compares agents."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from pathlib import Path

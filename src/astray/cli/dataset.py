@@ -1,7 +1,5 @@
 """The verb that exports episodes of policies as data sets."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

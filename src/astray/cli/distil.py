@@ -1,7 +1,5 @@
 """The verb for distillation, to another network or other observations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated

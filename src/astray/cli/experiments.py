@@ -1,7 +1,5 @@
 """Verbs for lists, experiments and benchmarks."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal

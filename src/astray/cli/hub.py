@@ -1,7 +1,5 @@
 """Verbs for the Hugging Face Hub: push an agent of yours, pull somebody's."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from tyro.conf import Positional, arg

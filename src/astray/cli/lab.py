@@ -1,7 +1,5 @@
 """The verb that opens the lab or exports it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """Verbs that print, play, replay and compare levels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

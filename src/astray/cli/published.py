@@ -1,7 +1,5 @@
 """Verbs for published agents: import a file, list, fetch, check."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal

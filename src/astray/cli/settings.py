@@ -1,7 +1,5 @@
 """The settings of a training as options in groups."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from dataclasses import fields, make_dataclass

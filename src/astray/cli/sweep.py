@@ -1,7 +1,5 @@
 """The verb for sweeps: agents for every combination of settings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

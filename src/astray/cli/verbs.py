@@ -1,7 +1,5 @@
 """The table of verbs, and the parsing of the command line."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import functools

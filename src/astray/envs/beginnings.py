@@ -1,7 +1,5 @@
 """The initial states of levels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence, Sized
 
 import numpy as np

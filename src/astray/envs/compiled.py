@@ -1,7 +1,5 @@
 """The batch loop, compiled for each game."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import logging

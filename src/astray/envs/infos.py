@@ -1,7 +1,5 @@
 """Gymnasium's vector infos: columns of the states, each with a mask."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

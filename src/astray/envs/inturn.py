@@ -1,7 +1,5 @@
 """Gymnasium environments in one process, stepped one after another."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -77,13 +77,12 @@ class Pool:
         if not self._workers:
             return function(*arguments, *alone())
         begin = time.perf_counter()
-        shared = self._share if self._pace.shared else self._do_alone
-        returned = shared(function, arguments)
+        if self._pace.shared:
+            returned = self._share(function, arguments)
+        else:
+            returned = function(*arguments, *alone())
         self._pace.note(time.perf_counter() - begin)
         return returned
-
-    def _do_alone(self, function: Callable, arguments: tuple) -> Any:
-        return function(*arguments, *alone())
 
     def _share(self, function: Callable, arguments: tuple) -> Any:
         self._generation += 1

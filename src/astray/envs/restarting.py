@@ -1,7 +1,5 @@
 """Environments of a `World` to train in, as `GameVectorEnv` is for games."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Rows of arrays, tensors and their nestings: a row per episode."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Adapter of astray's environments to the vector interface of Stable-Baselines3."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

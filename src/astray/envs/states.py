@@ -1,7 +1,5 @@
 """States in files: NumPy archives, from which nothing is ever executed."""
 
-from __future__ import annotations
-
 import io
 import tokenize
 import zipfile

@@ -1,7 +1,5 @@
 """Watch over environments in this process, one of which may never answer."""
 
-from __future__ import annotations
-
 import _thread
 import signal
 import threading

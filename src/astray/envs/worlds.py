@@ -1,7 +1,5 @@
 """Vector environments of a `World`, the counterpart of `GameVectorEnv`."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import multiprocessing

@@ -1,7 +1,5 @@
 """The report of one agent on one shift: which goal does it pursue?"""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Mapping
 from dataclasses import replace

@@ -4,8 +4,6 @@ Files that begin with an underscore are shared by the studies beside them. Studi
 in other modules or files; `find` accepts them too.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import pkgutil

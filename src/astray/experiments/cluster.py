@@ -1,7 +1,5 @@
 """Training on a Ray cluster whose nodes all see the run folders."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A page that compares agents in the same levels: outcomes, differences, curves, videos."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path

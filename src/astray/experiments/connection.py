@@ -4,8 +4,6 @@ huggingface_hub builds paths in its cache from a server's commit and ETag. If th
 path, it would write elsewhere or link to a file of the user's.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import re

@@ -1,7 +1,5 @@
 """Pretrained agents: weights without the training's state, and a card about the agent's goals."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A lab beside a report, in which the levels of its videos can be edited and played."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

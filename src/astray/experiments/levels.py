@@ -1,7 +1,5 @@
 """Test levels of a study, which no agent met in training, and the episodes in them."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterable
 
@@ -12,10 +10,12 @@ from astray.acting import check_ending
 from astray.analysis.overlap import met, unseen
 from astray.analysis.runs import play_all
 from astray.experiments.spec import Plan, Runs, Test, open_agents
-from astray.game import Game, Variant
+from astray.game import Variant
 from astray.published.imported import SPARED
 from astray.training.config import Config
 from astray.world import World
+
+met_in = functools.lru_cache(maxsize=1)(met)  # once for all tests of a plan
 
 
 def levels_of(plan: Plan, test: Test) -> np.ndarray:
@@ -64,12 +64,6 @@ def check_tests(plan: Plan) -> None:
                         f"{agent} learns from planes {trained}; the test {name!r} has {tested}: "
                         "give both the same world, or window"
                     )
-
-
-@functools.lru_cache(maxsize=1)
-def met_in(game: Game, trainings: tuple[tuple[Variant, range], ...]) -> set[bytes]:
-    """Return `overlap.met`, cached for all tests of a plan."""
-    return met(game, trainings)
 
 
 def play(plan: Plan, runs: Runs) -> pl.DataFrame:

@@ -3,8 +3,6 @@
 The policy "sampled" stands for the agents: as in the original, actions are sampled.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -314,14 +312,12 @@ def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None)
         ways = apart.filter(policy=Walk(goal).name)
         far = farther if len(farther := ways.filter(way > way.median())) else ways
     common = mine["outcome"].value_counts(sort=True)
-    shown = []
+    own: Any = plan.variant_of if plan.own else lambda test: test.variant_for(plan.agents[name])
+    variants, shown = [(test, own(test)) for test in (trained, tested)], []
     for outcome, count in common.rows():
         levels = mine.filter(outcome=outcome).join(far, on="level", how="semi")["level"]
         for level in levels[:1].to_list():
-            pair = [
-                (f"{test.name} {level}", _variant_of(plan, name, test))
-                for test in (trained, tested)
-            ]
+            pair = [(f"{test.name} {level}", variant) for test, variant in variants]
             path = work.folder / "videos" / f"{outcome.replace(' ', '-')}.mp4"
             write_pair(player, game, pair, level, path, fps=8)
             shown.append(
@@ -335,7 +331,3 @@ def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None)
                 )
             )
     return shown
-
-
-def _variant_of(plan: Plan, name: str, test: Test) -> Any:
-    return plan.variant_of(test) if plan.own else test.variant_for(plan.agents[name])

@@ -6,8 +6,6 @@
 find unregistered claims. Power is computed from the plans.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import tomllib

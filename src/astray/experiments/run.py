@@ -1,7 +1,5 @@
 """Runs of experiments: plan, compute what is missing, and write the report."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Reports to trackers after a training or a report."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

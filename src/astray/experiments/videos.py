@@ -1,7 +1,5 @@
 """Videos of an agent in one level number of two variants, side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

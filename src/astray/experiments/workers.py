@@ -1,7 +1,5 @@
 """Parallel training of many agents, in local processes or on a Ray cluster."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import multiprocessing

@@ -1,7 +1,5 @@
 """Shared parts of charts: styles of series, axes, and legends."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any

@@ -5,8 +5,6 @@ and high; low and high are null without an interval. Panels, rows and series fol
 order. Series differ in marker, dashes or hatching as well as in colour.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from textwrap import fill

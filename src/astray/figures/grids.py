@@ -1,7 +1,5 @@
 """Charts in cells: heat maps of two settings, and pictures with overlays."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

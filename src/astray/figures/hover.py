@@ -1,7 +1,5 @@
 """Values of a figure by place, for pages that show them under the pointer."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

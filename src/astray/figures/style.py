@@ -1,7 +1,5 @@
 """The common style of all figures, and how they are saved."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

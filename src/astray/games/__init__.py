@@ -4,8 +4,6 @@ A sub-package here that defines `GAME` is a game; there is no other list. Anothe
 its games as entry points of the group `astray.games`: name = "module:GAME".
 """
 
-from __future__ import annotations
-
 import functools
 import importlib
 import json

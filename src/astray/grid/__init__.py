@@ -4,8 +4,6 @@ A world is a module of rules (`ACTIONS`, `STATE`, `EVENTS`, `step`) and levels (
 `Game` that `world` makes of it. See `games/lavaland` for the smallest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Abilities of every grid world: levels as data, places and cells, scripts that walk to a goal."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence

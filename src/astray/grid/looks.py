@@ -1,7 +1,5 @@
 """Appearance of grid worlds: pictures of cells, and one binary symbolic plane per kind."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path

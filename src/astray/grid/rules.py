@@ -1,7 +1,5 @@
 """Kernels for the rules and levels of grid worlds."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

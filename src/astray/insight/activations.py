@@ -8,8 +8,6 @@ A layer is a named module of the network, such as `block2.residual1`, and its ac
 module's output. This works for every network: astray's own, imported and custom ones.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import io

@@ -9,8 +9,6 @@ planes; for a `Network` it has the shape of its inputs. The methods are Captum's
 `insight`. `critic.counterfactual` measures the effect of a whole part.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

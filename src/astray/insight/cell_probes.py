@@ -8,8 +8,6 @@ As the probe sees the channels at one cell alone, it cannot compute what a netwo
 states, such as those of another distribution, `score` tells whether the same is to be read there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

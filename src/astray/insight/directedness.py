@@ -8,8 +8,6 @@ count as one, and a cell in which the agent cannot stay, such as the cheese's, e
 The game's places must follow from place and action alone, as in Maze.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -5,8 +5,6 @@ found.table  # a row for each step
 figure(found)
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

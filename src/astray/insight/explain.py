@@ -1,7 +1,5 @@
 """A page about an agent in a level: its behaviour everywhere, and what that depends on."""
 
-from __future__ import annotations
-
 import functools
 import sys
 from collections import Counter

@@ -1,7 +1,5 @@
 """Figures of fields: arrows and values over levels, side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

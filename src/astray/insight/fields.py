@@ -9,8 +9,6 @@ Fields of other agents, or of a steered one, are compared in the same way. `fiel
 them.
 """
 
-from __future__ import annotations
-
 import functools
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence

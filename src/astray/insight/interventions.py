@@ -8,8 +8,6 @@ agent is unchanged to the bit. They affect everything that asks the agent: episo
 videos, gradients.
 """
 
-from __future__ import annotations
-
 import contextlib
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -9,8 +9,6 @@ on an untrained network of the same shape, and on the picture itself. A layer th
 contains everything in the picture, so a score alone does not show that the agent uses it.
 """
 
-from __future__ import annotations
-
 import copy
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -8,8 +8,6 @@ Mini et al. (2023, arXiv 2310.08043) found eleven channels of their mouse by eye
 found in any network with places, by their correlation with the object's place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ the caller: the one that it started), the spin limit (LOOKS) and, in row 0, the 
 work taken (TAKEN).
 """
 
-from __future__ import annotations
-
 import threading
 from typing import Any
 

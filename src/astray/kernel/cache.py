@@ -1,7 +1,5 @@
 """The folder of compiled code. Its contents are executed: nobody else may ever write there."""
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import logging

@@ -1,7 +1,5 @@
 """Compilation: three decorators, and an on-disk cache that cannot be stale."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib

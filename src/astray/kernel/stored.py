@@ -1,7 +1,5 @@
 """Compiled code in files, which are complete or ignored, and may be lost."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import io

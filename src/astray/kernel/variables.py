@@ -1,7 +1,5 @@
 """Environment variables with which numba would fail to import."""
 
-from __future__ import annotations
-
 import os
 import re
 import warnings

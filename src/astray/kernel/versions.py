@@ -4,8 +4,6 @@ A version is removed only if it is a folder of this user's, named by a digest an
 files written by numba and astray are removed from it. No link is followed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,7 +1,5 @@
 """Constants shared with the page's rules, as a generated JavaScript module."""
 
-from __future__ import annotations
-
 import json
 from types import ModuleType
 from typing import Any

@@ -5,8 +5,6 @@ posteriors over goals. Networks for images become tables, computed here: in some
 place of goal and agent, the policy and the value, one byte each.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -24,7 +22,7 @@ from astray.files import folder_aside, write_aside
 from astray.game import Game, Variant
 from astray.insight.fields import states_at
 from astray.lab import translate
-from astray.lab.agents import Agents, places, sees
+from astray.lab.agents import places, sees
 from astray.lab.server import files
 from astray.lab.session import FORMAT, Lab, about_game, drawings
 from astray.lab.worlds import is_played
@@ -100,16 +98,13 @@ def _check_exportable(lab: Lab, agents: Sequence[str], further: Sequence[str]) -
 def _chosen(lab: Lab) -> list[str]:
     """Return the agents to export: those with a run of a game that the page supports."""
     first = lab.start.get("agent", "")
+    opened = {name: lab.agents.open(name)[0] for name in lab.agents.paths}
     small = [
         name
-        for name in lab.agents.paths
-        if lab.agents.open(name)[0].architecture.name == COMPUTED and _playable(lab.agents, name)
+        for name, agent in opened.items()
+        if agent.architecture.name == COMPUTED and is_played(games.find(agent.game))
     ]
     return list(dict.fromkeys([*([first] if first else []), *small]))
-
-
-def _playable(agents: Agents, name: str) -> bool:
-    return is_played(games.find(agents.open(name)[0].game))
 
 
 def _write_page(folder: Path) -> None:

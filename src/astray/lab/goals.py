@@ -1,7 +1,5 @@
 """Evidence for goals in an episode, and the goals that agents reach for moved objects."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from dataclasses import replace

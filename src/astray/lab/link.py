@@ -1,7 +1,5 @@
 """Links that open a level with an agent in the lab, in the format of `page/link.js`."""
 
-from __future__ import annotations
-
 import base64
 import json
 import zlib

@@ -1,7 +1,5 @@
 """Messages of a page, with checks of every field."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields

@@ -1,7 +1,5 @@
 """The lab in a notebook: the same page over the notebook's own channel."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ pages of other sites, or through rebound names, are refused by Origin and Host. 
 Content-Security-Policy restricts what the page may load and run.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

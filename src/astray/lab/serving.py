@@ -1,7 +1,5 @@
 """Initial state of a lab: its agents and its first level."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

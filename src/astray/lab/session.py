@@ -1,7 +1,5 @@
 """Answers to one page's questions: text in, plain data out."""
 
-from __future__ import annotations
-
 import base64
 import functools
 import threading

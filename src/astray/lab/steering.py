@@ -1,7 +1,5 @@
 """Interventions on an agent's layers, as requested by a page."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from typing import Any

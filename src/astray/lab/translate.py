@@ -4,8 +4,6 @@ Kernels are a small part of Python: numbers, loops, fields of a state. `module` 
 `step`, `furnish` and `seek`, and every kernel that these call; `page/rules/grid.js` has the rest.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import json
@@ -123,7 +121,8 @@ class _Function:
     def text(self) -> str:
         tree: Any = self.tree
         self.arguments = [arg.arg for arg in tree.args.args]
-        stored = [n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and _is_stored(n)]
+        names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
+        stored = [name.id for name in names if isinstance(name.ctx, ast.Store)]
         self.local = {*self.arguments, *stored}
         own = sorted({*stored} - {*self.arguments})
         lines = [f"let {', '.join(map(_word, own))};"] if own else []
@@ -265,10 +264,6 @@ class _Function:
             f"{self.function.__qualname__} must be translated for a page without Python, which "
             f"knows no {ast.unparse(node)!r}"
         )
-
-
-def _is_stored(node: ast.Name) -> bool:
-    return isinstance(node.ctx, ast.Store)
 
 
 def _word(name: str) -> str:

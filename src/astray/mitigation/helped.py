@@ -1,7 +1,5 @@
 """A novice that an expert helps, and a novice that is only watched."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator, Sequence, Sized
 from dataclasses import dataclass

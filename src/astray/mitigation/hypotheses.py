@@ -6,8 +6,6 @@ their mutual information on unlabelled test frames is minimised. A few labelled 
 select a head.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ As in Trinh et al. (2024) and Danesh et al. (2025), thresholds are percentiles o
 the novice plays training levels alone, so nothing about the test is needed.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Sequence

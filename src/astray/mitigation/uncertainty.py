@@ -5,8 +5,6 @@ uncertainty. It may use the agent, the observations or, as `GoalPosterior` does,
 in a copy of the world.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

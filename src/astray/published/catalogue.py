@@ -4,8 +4,6 @@ It is data, in `catalogue.toml`, and contains nothing of the agents. `fetch` dow
 request, checks its digest and imports it.
 """
 
-from __future__ import annotations
-
 import functools
 import tomllib
 from dataclasses import dataclass

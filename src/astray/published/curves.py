@@ -1,7 +1,5 @@
 """Training curves that others published, of the paper's program in the paper's worlds."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import tomllib

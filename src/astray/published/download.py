@@ -3,8 +3,6 @@
 Two processes that download the same file take turns, and only verified bytes are put in place.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import http.client

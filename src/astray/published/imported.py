@@ -6,8 +6,6 @@ and licence, and which settings are known. checks.json: results of its check; se
 network; 0 steps if unknown.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping

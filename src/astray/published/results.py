@@ -4,8 +4,6 @@ The original's `run_coinrun.py` and its forks write one per agent, metrics_agent
 numbers relate them to episodes played here.
 """
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

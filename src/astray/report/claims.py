@@ -5,8 +5,6 @@ stands for "no effect". A claim is supported if the whole 95 % interval satisfie
 data make it harder to support. Claims of one page are `corrected` for their number.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

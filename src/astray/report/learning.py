@@ -1,7 +1,5 @@
 """Learning curves: metrics during training, over seeds."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

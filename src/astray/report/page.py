@@ -1,7 +1,5 @@
 """The report of an experiment: one self-contained HTML file."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -140,13 +138,11 @@ def _findings(path: Path) -> dict[str, Any]:
     claims = found.get("claims") if isinstance(found, dict) else None
     if isinstance(claims, list):
         claims = [renamed(claim, {"held": "supported"}, str(path)) for claim in claims]
-    if not (_has(found, kinds) and isinstance(claims, list) and all(map(_is_claim, claims))):
+    of_claim = {"sentence": str, "ours": str, "supported": bool}
+    are_claims = isinstance(claims, list) and all(_has(claim, of_claim) for claim in claims)
+    if not (_has(found, kinds) and are_claims):
         raise ValueError(f"{path} must be the findings of a report; got {shown(found)}")
     return {**found, "claims": claims}
-
-
-def _is_claim(given: Any) -> bool:
-    return _has(given, {"sentence": str, "ours": str, "supported": bool})
 
 
 def _has(given: Any, kinds: Mapping[str, type]) -> bool:
@@ -252,12 +248,9 @@ def cells(column: pl.Series) -> list[str]:
         largest = max((abs(value) for value in real), default=0.0)
         digits = math.floor(math.log10(largest)) if largest else 0
         form = f",.{min(3, max(0, 3 - digits))}f" if digits > -2 else ".3g"
-        return [NOTHING if _missing(value) else format(value, form) for value in column]
+        known = column.fill_nan(None)
+        return [NOTHING if value is None else format(value, form) for value in known]
     return [_text(value) for value in column]
-
-
-def _missing(value: float | None) -> bool:
-    return value is None or math.isnan(value)
 
 
 def _text(value: Any) -> str:

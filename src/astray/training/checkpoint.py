@@ -5,8 +5,6 @@ iteration. checkpoints/<steps>/agent.safetensors: the network (`agents.policy.lo
 checkpoints/<steps>/trainer.safetensors: all other state of the training.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

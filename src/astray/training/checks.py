@@ -1,7 +1,5 @@
 """Checks of a training: that its network acts as it learns, its loss, and its weights."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

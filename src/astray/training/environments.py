@@ -1,7 +1,5 @@
 """The environments that a training plays in, of a game or a `World`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ With "uniform" there is no sampler: the environments draw their levels themselve
 `training.replay` has the samplers that search for levels to learn from.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol

@@ -4,8 +4,6 @@ This file is plain torch. `training.fast` is an accelerated equivalent, which a 
 it supports the network and the loss.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import time

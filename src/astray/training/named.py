@@ -1,7 +1,5 @@
 """Names that stand for games and variants in settings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Conversion of settings from older versions."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import MISSING, fields
 from typing import Any

@@ -6,8 +6,6 @@ process would. Only the first writes files. The one difference from a single pro
 has equally many samples of every process.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import os

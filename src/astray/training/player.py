@@ -1,7 +1,5 @@
 """The players of a training: environments of one variant, with the actors in them."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple

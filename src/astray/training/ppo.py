@@ -59,7 +59,8 @@ class Sequences(Samples):
 
     def at(self, indices: Tensor) -> Sequences:
         """Return the sequences of the environments at `indices` [B] as [T * B], step by step."""
-        steps = {k: x.index_select(1, indices).flatten(0, 1) for k, x in self._by_step().items()}
+        by_step = {name: x for name, x in vars(self).items() if name != "state"}
+        steps = {name: x.index_select(1, indices).flatten(0, 1) for name, x in by_step.items()}
         return type(self)(**steps, state=self.state.index_select(0, indices))
 
     def said(self, network: Recurrent) -> tuple[Tensor, Tensor]:
@@ -67,9 +68,6 @@ class Sequences(Samples):
         shown, begins = (x.unflatten(0, (-1, len(self))) for x in (self.observation, self.begins))
         logits, values, _ = network.unroll(shown, self.state, begins)
         return logits.flatten(0, 1), values.flatten()
-
-    def _by_step(self) -> dict[str, Tensor]:
-        return {name: x for name, x in vars(self).items() if name != "state"}
 
     def __len__(self) -> int:
         return len(self.state)

@@ -6,8 +6,6 @@ buffer (robust PLR, Jiang et al. 2021). ACCEL (Parker-Holder et al. 2022) also s
 levels that were just replayed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

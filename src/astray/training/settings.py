@@ -1,7 +1,5 @@
 """Nested records of a training's settings, and their checks."""
 
-from __future__ import annotations
-
 import types
 import typing
 from dataclasses import dataclass

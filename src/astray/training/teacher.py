@@ -5,8 +5,6 @@ each of its states the teacher gives action probabilities and a value. The teach
 the game's exact solver, and may stop before the training ends.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

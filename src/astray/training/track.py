@@ -5,8 +5,6 @@ settings decide where the data goes: `WANDB_MODE=offline` for wandb; Trackio sta
 unless it is given a Space.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import uuid

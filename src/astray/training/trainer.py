@@ -1,7 +1,5 @@
 """The state of a training, which a checkpoint must hold."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -6,8 +6,6 @@ holds the training's settings and the parameters of three modules: network, acto
 are ordered by rows, columns, channels, and max-pooling is padded as "SAME": "impala-same".
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Choice of the importer for a file."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """An imported agent, and checks of its weights."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -5,8 +5,6 @@ in Baselines' ppo2). The network divides images by 255, as `clear_cnn` of tensor
 and actions are sampled from the policy.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -9,8 +9,6 @@ Data may share parts, so 200 bytes can describe a tuple of 2**60 numbers. No cod
 through a value from a file, and the number of created values is bounded.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import pickletools

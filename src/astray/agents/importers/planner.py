@@ -12,8 +12,6 @@ set beside it, which is the same dense layer twice. This reads networks of the s
 published, with any depth, ticks and sizes, and refuses others with the name of what differs.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections import OrderedDict

@@ -6,8 +6,6 @@ under other names, with any channels: images are divided by 255, actions are sam
 agents of train-procgen-pytorch have a GRU between the network and its heads.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import pickle

@@ -5,8 +5,6 @@ IMPALA with two differences: the ReLU at the beginning of a residual unit works 
 added at its end is the rectified input; and there is none before the dense layer.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import io

@@ -1,7 +1,5 @@
 """The report of a sweep: the agents' behaviour for each combination, and its command."""
 
-from __future__ import annotations
-
 import itertools
 import shlex
 from collections.abc import Iterator

@@ -6,8 +6,6 @@ episode, with its agent's settings. rates.csv: rate of each outcome for each com
 report.html: figures for each pair of settings, and the rates.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import replace

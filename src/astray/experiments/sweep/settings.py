@@ -1,7 +1,5 @@
 """The settings of a sweep, their values as text, and the plans of its combinations."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -95,11 +95,6 @@ def rounds(s):
     return abs(s["ahead"]) / ROUND
 
 
-def unsailed(s):
-    """Return the number of rounds that each boat was paid for and did not sail."""
-    return s["paid"] / ARROWS - rounds(s)
-
-
 GAME = grid.world(
     sys.modules[__name__],
     "boat",
@@ -115,7 +110,11 @@ GAME = grid.world(
         "rounds": More("rounds", than="rounds not sailed"),
         "to and fro": More("rounds not sailed", than="rounds"),
     },
-    measures={"rounds": rounds, "rounds not sailed": unsailed, "arrows paid": lambda s: s["paid"]},
+    measures={
+        "rounds": rounds,
+        "rounds not sailed": lambda s: s["paid"] / ARROWS - rounds(s),
+        "arrows paid": lambda s: s["paid"],
+    },
     shifts={"backwards": Shift("race", "backwards", "rounds", ("to and fro",))},
     seek=seek,
     stood="<>v^",

@@ -4,8 +4,6 @@ They need no mathematical library: heights are smooth steps between hash values,
 computes the same bytes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

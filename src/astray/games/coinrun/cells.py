@@ -1,7 +1,5 @@
 """Levels of CoinRun as data: described, checked, and built from cells and looks."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """CoinRun as pictures, for the agent and at any larger scale, and as symbolic planes."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 from pathlib import Path

@@ -3,8 +3,6 @@
 All take states [N] and return edited copies [N].
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

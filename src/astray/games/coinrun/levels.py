@@ -1,7 +1,5 @@
 """Levels of CoinRun, with the original's random draws in its order."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from astray.games.coinrun.reach import pick_place

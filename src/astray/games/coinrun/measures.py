@@ -3,8 +3,6 @@
 All take states [N] and return [N].
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

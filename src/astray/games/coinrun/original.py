@@ -1,7 +1,5 @@
 """CoinRun with the original's pictures, exact in every pixel."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

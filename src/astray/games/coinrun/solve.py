@@ -1,7 +1,5 @@
 """Ways through a level, from a search with the real physics and the real walkers."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Labels of Heist's states [N] for probes: pure functions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The ways through rooms and doors: breadth first over cells and keys in hand."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

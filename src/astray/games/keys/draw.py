@@ -1,7 +1,5 @@
 """Keys and Chests as pictures at any scale, and as symbolic planes."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Levels of Keys and Chests, with the original's random draws in its order, and drawn levels."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

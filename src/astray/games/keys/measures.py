@@ -3,8 +3,6 @@
 `states` are [N] records at the ends of episodes; results are [N].
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

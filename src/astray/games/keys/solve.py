@@ -1,7 +1,5 @@
 """The best order of keys and chests, and the walks between them."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Maze as pictures, for the agent and at any larger scale, and as symbolic planes."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Levels of Maze, with the original's random draws in its order, and levels drawn in text."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

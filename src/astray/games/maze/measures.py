@@ -3,8 +3,6 @@
 All take states [N]; those in `LABELS` return [N]. Missing values are `NONE` (int) or NaN (float).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Small edits of Maze levels: walls, the mouse, the objects."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

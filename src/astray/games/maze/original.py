@@ -1,7 +1,5 @@
 """Maze with the original's pictures, exact in every pixel."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Shortest ways through a maze."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

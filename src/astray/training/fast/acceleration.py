@@ -4,8 +4,6 @@ Each setting can be switched off. With all off, or with a custom network or loss
 `training.loop` with `ppo.loss` exactly as written.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Asynchronous acting on a GPU, which infers for some environments while others step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch

@@ -3,8 +3,6 @@
 For 1,024 samples of 15 actions it takes 0.23 ms; torch takes 0.55 ms for some 60 operations.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Functions of tensors, replayed as CUDA graphs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any
 

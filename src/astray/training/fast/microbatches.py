@@ -4,8 +4,6 @@ On a CPU, blocks of more than 32 MB are returned to the system when freed. For t
 and 1,024 images, allocating them again took as long as half of all products.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

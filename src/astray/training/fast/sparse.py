@@ -3,8 +3,6 @@
 About 33 of Maze's 294 inputs are nonzero, so its first layer is a sum of 33 rows of weights.
 """
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

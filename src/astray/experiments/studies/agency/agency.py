@@ -1,7 +1,5 @@
 """Agents and devices: can goal-directed failure be distinguished from plain failure?"""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Are trained mice goal-directed, and towards what? MEG, a second measure of it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 

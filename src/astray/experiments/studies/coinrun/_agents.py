@@ -1,7 +1,5 @@
 """Runners trained with the coin at the end of every level, shared by all CoinRun studies."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

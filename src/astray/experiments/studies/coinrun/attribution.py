@@ -1,7 +1,5 @@
 """Does the critic's value depend on the end wall, or on the coin?"""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -49,7 +49,8 @@ def find(work: Work) -> Findings:
     table = curves(work, trained, blind)
     tables = outcomes.outcome_tables(work)
     where = next(iter(TESTS))
-    astray = {name: misgeneralized_in(work, where, name) for name in work.plan.agents}
+    wrong = pl.col("outcome") == MISGENERALIZED
+    astray = {name: matrix(of(work, where, name), wrong) for name in work.plan.agents}
     last, kinds = list(astray)[-1], list(astray.values())
     without, with_few, with_most = (estimate_mean(astray[name]) for name in (NEVER, FIRST, last))
     base = missed_invisible(blind.filter(test=where))
@@ -166,11 +167,6 @@ def coin_at_end(work: Work) -> pl.DataFrame:
 def of(work: Work, where: str, name: str) -> pl.DataFrame:
     """Return the episodes of the agents of a name in a test."""
     return work.episodes.filter(policy=AGENTS, test=where, agent=name)
-
-
-def misgeneralized_in(work: Work, where: str, name: str) -> np.ndarray:
-    """Return which episodes are goal misgeneralization, [agents, levels]."""
-    return matrix(of(work, where, name), pl.col("outcome") == MISGENERALIZED)
 
 
 def missed_invisible(blind: pl.DataFrame) -> np.ndarray:

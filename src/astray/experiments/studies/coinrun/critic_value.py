@@ -1,7 +1,5 @@
 """Does the critic value the coin, or the end of the level where the coin always was?"""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Does a runner take a coin because it sees it, or because it comes by?"""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What does a runner do at a permeable end wall, and where is its critic's value highest?"""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Others' results, joined with a script's results in the same levels."""
 
-from __future__ import annotations
-
 import numpy as np
 import polars as pl
 

@@ -1,7 +1,5 @@
 """Agents, plans and estimates of the studies of the field's worlds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any

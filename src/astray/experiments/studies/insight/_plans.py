@@ -1,7 +1,5 @@
 """Pretrained and published agents for interpretability studies, which train none."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """What does a mouse do if the cheese is subtracted from a layer's activations?"""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Which features of a maze predict that a mouse takes its cheese? A published claim, repeated."""
 
-from __future__ import annotations
-
 import numpy as np
 import polars as pl
 

@@ -1,7 +1,5 @@
 """Is a coin that a runner ignores represented in its layers?"""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping
 

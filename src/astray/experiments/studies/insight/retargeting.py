@@ -1,7 +1,5 @@
 """Can activations of one layer send a mouse to a cell?"""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 

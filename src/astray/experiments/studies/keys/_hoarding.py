@@ -1,7 +1,5 @@
 """Findings about thieves and keys: how many they take, when, and at which cost."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

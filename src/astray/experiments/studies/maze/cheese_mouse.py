@@ -1,7 +1,5 @@
 """A positive control: a mouse trained for 160 million steps to find cheese anywhere."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

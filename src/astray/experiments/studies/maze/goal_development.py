@@ -1,7 +1,5 @@
 """When each goal appears in a published training: checkpoints of the mouse of 160 million steps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -22,6 +22,7 @@ from astray.report.findings import Findings, Plot, Table
 from astray.training.config import PRESETS, Config
 
 BASE_RATES = {Walk("corner").name: "walk to the corner", "random": "random"}
+REACHED = pl.col("reached_goal").is_not_null()
 LAST = 10  # the part of a training's iterations that its end is: the last tenth
 
 
@@ -32,8 +33,10 @@ def find(work: Work) -> Findings:
     smallest, *_, largest = regions
     middle = list(regions)[(len(regions) - 1) // 2]
     apart = work.episodes.filter("distinguishing")
-    success = {name: matrix(of(work.episodes, name), reached()) for name in regions}
-    corner = {name: matrix(of(apart, name), went_to_corner()) for name in regions}
+    success = {name: matrix(of(work.episodes, name), REACHED) for name in regions}
+    corner = {
+        name: matrix(of(apart, name), pl.col("outcome") == MISGENERALIZED) for name in regions
+    }
     shown = pl.concat([success_table(work, regions), at_end_of_training(work, regions)])
     first = first_table(apart, regions)
     sides = {name: f"{side} x {side} cells" for name, side in regions.items()}
@@ -105,23 +108,15 @@ def of(episodes: pl.DataFrame, name: str) -> pl.DataFrame:
     return episodes.filter(pl.col("agent") == name, pl.col("policy") == AGENTS)
 
 
-def reached() -> pl.Expr:
-    return pl.col("reached_goal").is_not_null()
-
-
-def went_to_corner() -> pl.Expr:
-    return pl.col("outcome") == MISGENERALIZED
-
-
 def success_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
     """Return how often the cheese is reached: who, region (null: base rate), mean, low, high."""
     rows = [
         {"who": "where it is anywhere", "region": side}
-        | _rates(estimate_mean(matrix(of(work.episodes, name), reached())))
+        | _rates(estimate_mean(matrix(of(work.episodes, name), REACHED)))
         for name, side in regions.items()
     ] + [
         {"who": who, "region": None}
-        | _rates(estimate_mean(matrix(work.episodes.filter(policy=policy), reached())))
+        | _rates(estimate_mean(matrix(work.episodes.filter(policy=policy), REACHED)))
         for policy, who in BASE_RATES.items()
     ]
     return pl.DataFrame(rows)

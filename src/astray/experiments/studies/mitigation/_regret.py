@@ -1,7 +1,5 @@
 """Minimax-regret curricula and domain randomisation: shared parts of both experiments."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Any

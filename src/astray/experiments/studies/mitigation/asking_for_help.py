@@ -1,7 +1,5 @@
 """Is an agent that misgeneralizes uncertain in time for an expert to help?"""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -165,7 +163,7 @@ def find(work: Work) -> Findings:
     )
     entropy = {row["agent"]: row["late"] for row in late.filter(score="entropy").to_dicts()}
     asks = "; ".join(f"{rounded(x)} of a {name}'s" for name, x in sorted(entropy.items()))
-    firsts = of_firsts(table)
+    firsts = table.filter(pl.col("run") == pl.col("run").first().over("agent"))
     helped = charts.curves(
         firsts.select("score", "help", pl.format("{}: help by the {}", "agent", "granularity")
                       .alias("panel"), mean="return"),
@@ -224,11 +222,6 @@ def by_run(table: pl.DataFrame, sum_up: Callable[[pl.DataFrame], pl.DataFrame]) 
         rows = sum_up(part)
         parts.append(rows.with_columns(agent=pl.lit(agent), run=pl.lit(run)))
     return pl.concat(parts)
-
-
-def of_firsts(table: pl.DataFrame) -> pl.DataFrame:
-    """Return the rows of the first agent of each name."""
-    return table.filter(pl.col("run") == pl.col("run").first().over("agent"))
 
 
 def too_late(asked: pl.DataFrame) -> pl.DataFrame:

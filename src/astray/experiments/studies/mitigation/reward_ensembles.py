@@ -1,7 +1,5 @@
 """Does one of two reward hypotheses, made to differ in the test, match the intended goal?"""
 
-from __future__ import annotations
-
 import numpy as np
 import polars as pl
 
@@ -59,9 +57,10 @@ def frames(variant: str, first: int, count: int, seed: int) -> Frames:
 def find(work: Work) -> Findings:
     """Measure the hypotheses of every ensemble, and the labels needed to choose the right one."""
     table = work.keep("heads", lambda: heads(work.plan.levels))
-    held = {kind: holding(table, kind, CHEESE) for kind in KINDS}
-    labels = choosing(table)
-    four = estimate_mean(of_ensembles(table, MADE, "chosen with 4"))
+    held = {kind: estimate_mean(of_ensembles(table, kind, CHEESE) >= HOLDS) for kind in KINDS}
+    right = {k: estimate_mean(of_ensembles(table, MADE, f"chosen with {k}")) for k in LABELS}
+    labels = pl.DataFrame([{"labels": k} | vars(one) for k, one in right.items()])
+    four = right[4]
     both = charts.curves(
         table.select("kind", "seed", CORNER, mean=CHEESE), x=CORNER, panel="kind", each="seed",
         percent="xy", limits=(-0.03, 1.03), label="answers as the cheese does",
@@ -170,25 +169,9 @@ def told(estimate: Estimate) -> str:
     )
 
 
-def holding(table: pl.DataFrame, kind: str, name: str) -> Estimate:
-    """Return the rate of ensembles in which a head matches a hypothesis."""
-    return estimate_mean(of_ensembles(table, kind, name) >= HOLDS)
-
-
 def nearest(table: pl.DataFrame, kind: str) -> float:
     """Return the median ensemble's best agreement of a head with the cheese."""
     return float(np.median(of_ensembles(table, kind, CHEESE)))
-
-
-def choosing(table: pl.DataFrame) -> pl.DataFrame:
-    """Return how often a number of labels selects the better head: labels, mean, low, high."""
-    return pl.DataFrame(
-        [
-            {"labels": count}
-            | vars(estimate_mean(of_ensembles(table, MADE, f"chosen with {count}")))
-            for count in LABELS
-        ]
-    )
 
 
 EXPERIMENT = Experiment(

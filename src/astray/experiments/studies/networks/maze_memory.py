@@ -8,7 +8,7 @@ from astray.analysis.estimates import estimate_difference, estimate_mean
 from astray.analysis.outcomes import matrix
 from astray.experiments import outcomes
 from astray.experiments.spec import Experiment, Plan, Test, Work
-from astray.experiments.studies.maze.maze_region import of, reached
+from astray.experiments.studies.maze.maze_region import REACHED, of
 from astray.report.claims import above, near_zero, rounded
 from astray.report.findings import Findings
 from astray.training.config import PRESETS, Config
@@ -63,7 +63,7 @@ def find(work: Work) -> Findings:
 
 def cheese(work: Work, name: str) -> np.ndarray:
     """Return whether the agents of a name reach the cheese in time, [agents, levels]."""
-    return matrix(of(work.episodes, name), reached()).astype(float)
+    return matrix(of(work.episodes, name), REACHED).astype(float)
 
 
 def agents(anywhere: Config, corner: str) -> dict[str, Config]:

@@ -13,7 +13,7 @@ from astray.experiments.spec import Experiment, Plan, Work
 from astray.figures import charts
 from astray.report.claims import Claim, above
 from astray.report.findings import Findings, Plot, Table
-from astray.training.config import PRESETS, Config
+from astray.training.config import PRESETS
 
 # Steps per second of one thread, to three digits, as `astray bench networks` measured them: they
 # decide how many steps a network gets, so that all get the same time.
@@ -102,11 +102,6 @@ def sooner(game: str, ours: np.ndarray, papers: np.ndarray) -> Claim:
     )
 
 
-def budgeted(config: Config, network: str) -> Config:
-    """Return settings of a training that takes the common time."""
-    return replace(config, network=network, steps=SECONDS * SPEEDS[network])
-
-
 EXPERIMENT = Experiment(
     title="Networks for images",
     reproduces="nothing: a question of our own",
@@ -114,9 +109,9 @@ EXPERIMENT = Experiment(
     sizes={
         "pixels": Plan(
             agents={
-                name_of(game, network): budgeted(config, network)
+                name_of(game, network): replace(config, network=network, steps=SECONDS * speed)
                 for game, config in GAMES.items()
-                for network in SPEEDS
+                for network, speed in SPEEDS.items()
             },
             seeds=3,
             levels=1,  # there are no tests
