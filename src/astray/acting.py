@@ -24,6 +24,7 @@ from astray.envs.rows import check_rows, rows
 from astray.envs.vector import GameVectorEnv, Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import Game, Variant
+from astray.record import level_numbers
 from astray.validation import MOST, bounded, of_kind, one_of, shown
 from astray.world import World, WorldVariant
 
@@ -371,6 +372,10 @@ def steps(
     of_kind("levels", levels, Sized)
     if not len(levels):
         raise ValueError("no levels to play")
+    if not isinstance(levels, Mapping):
+        known, counts = np.unique(level_numbers(levels), return_counts=True)
+        if counts.max() > 1:  # intervals would count it as several
+            raise ValueError(f"level {known[counts.argmax()]} is given {counts.max()} times")
     bounded("batch", batch, 1, MOST)
     check_ending(game, variant, longest)
     n = min(batch, len(levels))

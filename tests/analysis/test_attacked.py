@@ -313,3 +313,36 @@ def test_measures_are_seen(measures, message):
 def test_what_a_visit_is_given_is_seen(trained, given):
     with pytest.raises(ValueError, match="must be an integer from"):
         visit(load_agent(trained), "corner-small", LEVELS, **given)
+
+
+def rows(policies, levels=LEVELS, **how):
+    """Names and levels played, by policy."""
+    found = evaluate_policies(policies, MAZE, "corner-small", levels, **how)
+    every = found.rates.filter(levels_played="all")
+    return found.agents, dict(zip(every["policy"], every["levels"], strict=True))
+
+
+def test_modes_and_checkpoints_of_one_run_are_agents_of_their_own(trained):
+    first, *_, last = sorted((trained / "checkpoints").iterdir(), key=lambda path: int(path.name))
+    one, other = load_agent(first), load_agent(last)
+    greedy = load_agent(last, mode="greedy")
+    found, levels = rows([other, greedy])
+    assert found == (str(trained), f"{trained} (greedy)")
+    assert all(levels[name] == len(LEVELS) for name in found)
+    named = [f"{trained} at {path.name} steps" for path in (first, last)]
+    assert rows([one, greedy])[0] == (named[0], f"{named[1]} (greedy)")
+    assert evaluate_runs([first, last], LEVELS).agents == (*named,)
+
+
+def test_what_has_a_name_of_its_own_is_counted_by_itself(trained):
+    mouse = load_agent(trained)
+    namesake = Function(lambda seen: np.zeros(len(seen), int), str(trained), "symbolic")
+    for policies in ([mouse, load_agent(trained)], [mouse, namesake]):
+        with pytest.raises(ValueError, match="policies must have names of their own"):
+            rows(policies)
+
+
+@pytest.mark.parametrize("levels", [[4, 7, 4], np.array([7, 7])])
+def test_a_level_is_not_counted_as_several(levels):
+    with pytest.raises(ValueError, match=r"level \d is given 2 times"):
+        evaluate_policies([Random(1, "other")], MAZE, "corner-small", levels)

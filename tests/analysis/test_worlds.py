@@ -211,7 +211,7 @@ def test_the_level_that_is_played_twice_is_watched(trouble, workers, said):
 def test_observations_without_a_number_are_told(workers):
     world = troubled("blurs", workers=workers)
     with pytest.raises(ValueError, match="level 3, step 3: the observation has NaN"):
-        evaluate(RIGHT, world, "end", [3, 3], batch=2)
+        evaluate(RIGHT, world, "end", [3, 4], batch=2)
 
 
 @pytest.mark.waits

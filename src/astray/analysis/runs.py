@@ -173,14 +173,22 @@ def evaluate_runs(
     )  # fmt: skip
 
 
-def names_of(agents: Sequence[Agent], pool: bool = False) -> dict[str, str]:
-    """Return the name of each agent in tables, by its run folder."""
-    runs = [AgentFolder.of(agent.path).path for agent in agents]
-    names = [folders.name_of(run) for run in runs]
-    if pool and len(runs) > 1:
-        names = [", ".join(names) if len(runs) <= NAMED else f"{len(runs)} agents"] * len(runs)
-    modes = [" (greedy)" if agent.mode == "greedy" else "" for agent in agents]
-    return {str(run): name + mode for run, name, mode in zip(runs, names, modes, strict=True)}
+def names_of(policies: Sequence[Policy], pool: bool = False) -> list[str]:
+    """Return the name of each policy in tables; agents have those of their folders."""
+    found = {str(one.path): AgentFolder.of(one.path) for one in policies if isinstance(one, Agent)}
+    runs, names = [its.path for its in found.values()], []
+    for one in policies:
+        check_policy(one)
+        name, greedy = one.name, ""
+        if isinstance(one, Agent):
+            its, greedy = found[str(one.path)], " (greedy)" if one.mode == "greedy" else ""
+            name = folders.name_of(its.path)
+            if runs.count(its.path) > 1:  # several checkpoints of it
+                name = f"{name} at {its.steps:,} steps"
+        names.append(name + greedy)
+    if pool and len(names) > 1:
+        return [", ".join(names) if len(names) <= NAMED else f"{len(names)} agents"] * len(names)
+    return names
 
 
 def evaluate_policies(
@@ -215,10 +223,9 @@ def evaluate_policies(
     played = range(LEVELS_PLAYED) if levels is None else levels
     changed = game.variant(wanted).with_knobs(knobs or {})
     of_kind("policies", policies, Sequence)
-    names = names_of([policy for policy in policies if isinstance(policy, Agent)])
     return _outcomes(
         policies, game, name_of(wanted), changed, shift, played, batch, solvable, longest, rewards,
-        names,
+        names_of(policies),
     )  # fmt: skip
 
 
@@ -233,7 +240,7 @@ def _outcomes(
     solvable: bool,
     longest: int | None,
     rewards: Mapping[str, Reward] | None,
-    names: Mapping[str, str],
+    names: Sequence[str],
 ) -> Result:
     if isinstance(levels, Path):
         if isinstance(game, World) or isinstance(variant, WorldVariant):
@@ -241,18 +248,9 @@ def _outcomes(
         chosen = read_levels(levels, game, variant, solvable=solvable)
     else:
         chosen = levels
-    how: Any = {"batch": batch, "longest": longest, "rewards": rewards}
+    how: Any = {"batch": batch, "longest": longest, "rewards": rewards, "names": names}
     episodes = play_all(game, name, variant, shift, chosen, policies, **how)
-    if names:
-        of_run = pl.col("run").replace_strict(names, default=None)
-        episodes = episodes.with_columns(policy=pl.coalesce(of_run, "policy"))
-    played = dict.fromkeys(
-        names.get(str(AgentFolder.of(one.path).path), one.name)
-        if isinstance(one, Agent)
-        else one.name
-        for one in policies
-    )
-    return rated(episodes, game, load_shift(game, shift), [*played])
+    return rated(episodes, game, load_shift(game, shift), [*dict.fromkeys(names)])
 
 
 def rated(
@@ -284,11 +282,15 @@ def play_all(
     measures: Mapping[str, Measure] | None = None,
     longest: int | None = None,
     rewards: Mapping[str, Reward] | None = None,
+    names: Sequence[str] | None = None,
 ) -> pl.DataFrame:
     """Play policies, and scripts that walk to each goal or at random.
 
     Without a solver, the only script is random. The columns are those of `evaluate`, and run,
     seed, checkpoint (null for scripts), variant (its `name`), outcome, distinguishing.
+
+    Args:
+        names: Name of each policy in the table; None for their own.
 
     Raises:
         ValueError: If an argument is invalid, or two policies have one name.
@@ -298,16 +300,21 @@ def play_all(
         check_policy(policy)
     between = load_shift(game, shift)
     scripts = scripts_of(game, between)
-    names = [
-        policy.name for policy in (*scripts, *policies) if not isinstance(policy, Agent | Loaded)
+    called = [*(one.name for one in scripts), *(names or [one.name for one in policies])]
+    players = [*scripts, *policies]
+    # A name may be of several agents of one kind, and episodes of one name are counted together.
+    each = [
+        (name, one.origin if isinstance(one, Agent | Loaded) else None)
+        for name, one in zip(called, players, strict=True)
     ]
-    if len(set(names)) < len(names):
-        raise ValueError(f"policies must have names of their own; got {', '.join(names)}")
+    alone = {name for name, origin in each if origin is None}
+    if len({*each}) < len(each) or any(origin and name in alone for name, origin in each):
+        raise ValueError(f"policies must have names of their own; got {', '.join(called)}")
     check_ending(game, variant, longest)
     if isinstance(game, World) and isinstance(variant, WorldVariant) and game.repeats:
         check_repeats(game, variant, int(next(iter(levels))))
     parts = []
-    for policy in (*scripts, *policies):
+    for its_name, policy in zip(called, players, strict=True):
         run = seed = steps = None
         if isinstance(policy, Agent | Loaded):
             run, seed, steps = policy.origin
@@ -322,6 +329,7 @@ def play_all(
                 longest=longest,
                 rewards=rewards,
             ).with_columns(
+                policy=pl.lit(its_name),
                 run=pl.lit(run, pl.String),
                 seed=pl.lit(seed, pl.Int64),
                 checkpoint=pl.lit(steps, pl.Int64),

@@ -61,8 +61,7 @@ def compare(
         OSError: If the folder has files of these names that astray did not write.
     """
     of_kind("policies", policies, Sequence)
-    runs = names_of([one for one in policies if isinstance(one, Agent)])
-    names = [runs[one.origin[0]] if isinstance(one, Agent) else one.name for one in policies]
+    names = names_of(policies)
     if not 2 <= len(names) <= MOST or len({*names}) < len(names):
         raise ValueError(f"compare takes 2 to {MOST} agents of different names; got {names}")
     check_free(folder, PAGE, SIGN, ("figures", "videos"))
