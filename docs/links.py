@@ -34,6 +34,8 @@ SECTION = re.compile(
     r'\s*</div>\s*<nav [^>]*)aria-labelledby="\w+"',
     re.DOTALL,
 )
+# In its table of contents, the list below a heading: a landmark, by a name that others may have.
+CONTENTS = re.compile(r'(<nav class="md-nav") aria-label="[^"]*">')
 SEARCH = 'data-md-component="search" role="dialog"'
 PLAIN_TABLE = re.compile(r"<table>(?=(?:(?!</table>|<a\b).)*</table>)", re.DOTALL)
 NAMED = re.compile(r'\b(?:id|name)="([^"]+)"')
@@ -46,22 +48,28 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
 
 def on_post_page(output: str, *, page: Page, config: MkDocsConfig) -> str:
-    """Make a page of the theme one for screen readers and keyboards.
-
-    Its search and its sections have names, no header of a table is empty, and tables without links
-    can be reached, to be scrolled.
-    """
+    """Make a page one for screen readers and keyboards."""
     del page, config
-    output = SECTION.sub(r'\1aria-label="\2"', output).replace("<th></th>", "<td></td>")
-    return PLAIN_TABLE.sub('<table tabindex="0">', output).replace(
-        SEARCH, f'{SEARCH} aria-label="search"'
-    )
+    return accessible(output)
 
 
 def on_post_template(output: str, *, template_name: str, config: MkDocsConfig) -> str:
-    """Name the search of the page for what is not there; other templates have none."""
-    del template_name, config
-    return output.replace(SEARCH, f'{SEARCH} aria-label="search"')
+    """Make the page for what is not there accessible, too; other templates are no pages."""
+    del config
+    return accessible(output) if template_name.endswith(".html") else output
+
+
+def accessible(output: str) -> str:
+    """Return a page of the theme whose search and sections have names.
+
+    No landmark has another's name, no header of a table is empty, and tables without links can be
+    reached, to be scrolled.
+    """
+    output = SECTION.sub(r'\1aria-label="\2"', output).replace("<th></th>", "<td></td>")
+    output = CONTENTS.sub(r'\1 role="presentation">', output)
+    return PLAIN_TABLE.sub('<table tabindex="0">', output).replace(
+        SEARCH, f'{SEARCH} aria-label="search"'
+    )
 
 
 def on_post_build(config: MkDocsConfig) -> None:

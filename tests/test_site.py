@@ -6,15 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from helpers.browsed import violations
+from helpers.browsed import folder_served, violations
 
 ROOT = Path(__file__).parents[1]
 WRITTEN = ("published",)  # which has a wide table, and one with an empty header
+REFERENCE = (
+    "# api\n## one\n### same\n#### a\n## two\n### same\n#### b\n\n```pycon\n>>> 100\n100\n```\n"
+)
+SECTIONS = ("agents", "api")  # which have pages, and so the theme gives their lists no names
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The folder of the first page and those in `WRITTEN`; what is made from the code is not."""
+    """The folder of the first page, `WRITTEN` and `SECTIONS`; what is made from the code is not."""
     pytest.importorskip("mkdocs", reason="MkDocs is not installed")
     from mkdocs.commands.build import build
     from mkdocs.config import load_config
@@ -29,6 +33,10 @@ def site(tmp_path_factory):
         (docs / "index.md").write_text(pages.with_lab(pages.from_root("README.md")))
         for name in (*(f"{name}.md" for name in WRITTEN), "style.css"):
             (docs / name).write_text((ROOT / "docs" / name).read_text())
+        for name in SECTIONS:
+            (docs / name).mkdir()
+            (docs / name / "index.md").write_text(REFERENCE)
+            (docs / name / "another.md").write_text("# another")
         config = load_config(
             str(ROOT / "mkdocs.yml"),
             docs_dir=str(docs),
@@ -44,11 +52,14 @@ def site(tmp_path_factory):
     return folder / "site"
 
 
-@pytest.mark.parametrize("page, width", [("index", 1400), ("published", 1400)])
+@pytest.mark.parametrize(
+    "page, width", [("index", 1400), ("published", 1400), ("404", 420), ("api/index", 1400)]
+)
 def test_axe_finds_nothing_on_a_page_of_the_site(page, width, site, chrome):
     context = chrome.new_context(viewport={"width": width, "height": 900})
     shown = context.new_page()
-    shown.goto((site / f"{page}.html").as_uri(), wait_until="domcontentloaded")
-    assert violations(shown) == []
+    with folder_served(site) as address:  # the page for what is not there has no relative paths
+        shown.goto(f"{address}{page}.html", wait_until="domcontentloaded")
+        assert violations(shown) == []
     assert shown.evaluate("document.documentElement.scrollWidth") <= width
     context.close()

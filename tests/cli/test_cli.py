@@ -91,7 +91,7 @@ def test_agents_are_trained_resumed_and_evaluated(astray, run_folder, tmp_path):
 
 def test_the_table_of_an_evaluation_names_the_agent(astray, run_folder):
     told = " ".join(astray("evaluate", "maze-corner", "--levels", "0:3").split())
-    assert "95 % intervals over agents and levels; of one agent over levels, of it alone" in told
+    assert "95 % intervals over agents and levels; for one agent, over levels alone" in told
     assert "maze-corner" in told and "│ sampled │" not in told
 
 

@@ -154,6 +154,20 @@ def test_the_agent_takes_over_and_the_goal_that_it_seems_to_pursue_is_told(page)
     assert page.evaluate("lab.episode.ended") or places[now - 8] == places[now]
 
 
+def test_the_object_of_the_goal_leads_and_panels_of_agents_need_one(chrome, served):
+    link = "#game=pottery&variant=anywhere&level=3&agent="
+    with opened(chrome, served + link, ready="true") as (page, _):
+        assert page.locator("[data-lab=lead]").text_content() == "Drag the bin, or play."
+        assert page.locator("[data-lab=tour]").is_hidden()
+        assert not any(one.is_visible() for one in page.locator(".mind").all())
+        page.locator("[data-lab=agent]").select_option("pottery-corner")
+        wait(page, "lab.fields.size > 0")
+        assert all(one.is_visible() for one in page.locator(".mind").all())
+        assert page.locator("[data-lab=thing]").input_value().startswith("bin@")
+        page.locator("[data-lab=sight] summary").click()
+        assert page.locator("[data-lab=probing]").is_hidden()  # it has nothing for them to read
+
+
 def test_the_first_level_distinguishes_the_goals_and_a_badge_says_so(page):
     badge = page.locator("[data-lab=badge]")
     wait(page, "!lab.part('badge').hidden")

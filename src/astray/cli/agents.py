@@ -299,7 +299,7 @@ def show_rates(rates: pl.DataFrame) -> None:
         "levels",
         *outcomes,
         title=rates["variant"][0],
-        caption="95 % intervals over agents and levels; of one agent over levels, of it alone",
+        caption="95 % intervals over agents and levels; for one agent, over levels alone",
     )
     for rows in rates.partition_by("policy", "levels_played", maintain_order=True):
         first = rows.row(0, named=True)

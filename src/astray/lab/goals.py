@@ -44,7 +44,8 @@ def posterior(episode: Episode, shift: Shift) -> dict[str, Any]:
     world = episode.world
     named = named_places(world.game, world.begin, shift)
     if all(place is None for place in named.values()):
-        raise ValueError(f"a goal must have one cell in this level; none of {', '.join(named)} has")
+        listed = ", ".join(named)
+        raise ValueError(f"In this level, no goal is reached by going to one cell: {listed}.")
     gridworld = Gridworld(world.game.cells.free(world.begin))
     way = [tuple(np.floor(_centre(world, s)).astype(int).tolist()) for s in episode.states]
     ends = [way.index(tuple(place)) for place in named.values() if place and tuple(place) in way]

@@ -123,6 +123,7 @@ def about_game(game: Game) -> Reply:
         "legend": legend,
         "objects": dict(game.editing.OBJECTS) if game.editing else {},
         "real_time": game.real_time,
+        "labels": bool(game.labels),
         "solver": bool(game.solver),
         "editing": bool(game.editing),
         "floors": list(sprites.FLOORS) if sprites else [],

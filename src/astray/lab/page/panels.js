@@ -125,7 +125,7 @@ export class Panels {
     options(part("layers"), layers.map(([name, shape]) => [name, `${name} (${shape.join(" x ")})`]),
       part("layers").value || late?.[0]);
     options(part("probed"), layers.map(([name]) => [name, name]), part("probed").value || late?.[0]);
-    part("probing").hidden = !layers.length;
+    part("probing").hidden = !layers.length || !lab.rules.labels;
     part("readings").hidden = true;
     options(part("compare"), [
       ["", "nothing"], ["level", "the level as it was"],
@@ -138,10 +138,17 @@ export class Panels {
       if (option.value === "goals") option.hidden = lab.rules.real_time;
     }
     part("zoomed").hidden = !lab.look.view;
-    const [thing] = Object.keys(lab.rules.objects).map((name) => named(lab, name));
+    const [thing = "agent"] = this.#objects().map((name) => named(lab, name));
     part("lead").textContent = lab.agent
-      ? `Drag the ${thing ?? "agent"}. The arrows are what the agent would do. ${about.agents[lab.agent]?.caveat ?? ""}`
-      : `Drag the ${thing ?? "agent"}, or play.`;
+      ? `Drag the ${thing}. The arrows are what the agent would do. ${about.agents[lab.agent]?.caveat ?? ""}`
+      : `Drag the ${thing}, or play.`;
+  }
+
+  // The objects, first the intended goal's.
+  #objects() {
+    const { lab } = this;
+    const aim = (name) => named(lab, name) === this.shift?.intended;
+    return Object.keys(lab.rules.objects).sort((one, other) => aim(other) - aim(one));
   }
 
   #tools() {
@@ -227,7 +234,6 @@ export class Panels {
     const { lab, part } = this;
     this.choices();
     if (lab.number !== null) part("number").value = lab.number;
-    this.#unsplay();
   }
 
   edited() {
@@ -237,9 +243,7 @@ export class Panels {
     part("restore").disabled = !lab.past.length;
     if (document.activeElement !== part("text")) part("text").value = lab.text ?? "";
     this.#things();
-    part("counts").replaceChildren();
-    part("unsplay").hidden = true;
-    lab.splay.clear();
+    this.#unsplay();
     this.routed();
   }
 
@@ -247,10 +251,10 @@ export class Panels {
   #things() {
     const { lab, part } = this;
     const found = [];
-    for (const [name, char] of Object.entries(lab.rules.objects)) {
+    for (const name of this.#objects()) {
       const cells = [];
       lab.level.grid.forEach((row, y) => row.forEach((code, x) => {
-        if (code === lab.rules.legend[char]) cells.push([x, y]);
+        if (code === lab.rules.legend[lab.rules.objects[name]]) cells.push([x, y]);
       }));
       for (const cell of cells.slice(0, 12)) {
         found.push([`${name}@${cell}`, cells.length > 1 ? `${name} at (${cell.join(", ")})` : named(lab, name)]);
@@ -368,7 +372,7 @@ export class Panels {
       "3 of 3. “Wherever it lies” plays an episode for every place. The panels look inside the agent.",
     ];
     const seen = () => { try { return localStorage.getItem("astray-tour"); } catch { return "unknown"; } };
-    if (!lab.links || lab.root.classList.contains("embedded") || seen()) return;
+    if (!lab.links || !lab.agent || lab.root.classList.contains("embedded") || seen()) return;
     let step = 0;
     const show = () => {
       box.hidden = step >= told.length;
@@ -383,29 +387,23 @@ export class Panels {
 
   pursued() {
     const { lab, part } = this;
-    if (lab.rules?.real_time) {
-      part("verdict").textContent = "Not known in this game: things move by themselves, so a way does not follow from a goal.";
-      part("key").replaceChildren();
-      return;
-    }
     const canvas = part("posterior");
     const found = lab.goals;
     canvas.hidden = !found;
     part("key").replaceChildren();
     if (!found || !lab.agent) {
-      part("verdict").textContent = lab.agent
-        ? lab.goalless ?? "It shows as the agent walks: hand over to it, or walk yourself."
-        : "";
+      part("verdict").textContent = lab.goalless ?? (lab.rules?.real_time
+        ? "Not known in this game: the agent does not move from cell to cell, as the measure needs."
+        : "It shows as the agent walks: hand over to it, or walk yourself.");
       return;
     }
     const now = Math.min(lab.now, Object.values(found.goals)[0].length - 1);
     const colours = goalColours(this.shift, Object.keys(found.goals));
     drawPosterior(canvas, found, colours, now);
-    const [goal, rate] = Object.entries(found.goals).map(([name, row]) => [name, row[now]])
-      .reduce((best, one) => (one[1] > best[1] ? one : best));
+    const told = Object.entries(found.goals).map(([name, row]) => `${name} ${percent(row[now])}`);
+    const many = found.goals["another cell"]?.[now] > 0.5 ? " One way fits many cells: compare the goals that have names." : "";
     const agent = found.agent ? ` The probability that it pursues any goal is ${percent(found.agent[now])}.` : "";
-    part("verdict").textContent = `After ${now} steps: if it pursues a goal, then ${goal} ` +
-      `(${percent(rate)}).${agent}`;
+    part("verdict").textContent = `After ${now} steps, if it pursues a goal: ${told.join(", ")}.${many}${agent}`;
     const names = Object.keys(found.goals).map((name) => [colours[name], named(lab, name)]);
     part("key").replaceChildren(...names.map(([colour, name]) => keyed(colour, name)),
       ...(found.agent ? [keyed(null, "an agent at all")] : []));
@@ -451,7 +449,7 @@ export class Panels {
   read({ rows, states }) {
     const table = this.part("readings");
     table.hidden = false;
-    fillTable(table, ["label", "read", "true", "score elsewhere"], rows.map((row) =>
+    fillTable(table, ["label", "read", "true", "score in other states"], rows.map((row) =>
       [row.label, row["read as"], row["true as"], row.score.toFixed(2)]));
     table.title = `Probes fitted in ${states} states of its own episodes.`;
   }

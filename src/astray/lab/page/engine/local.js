@@ -165,7 +165,7 @@ export class LocalEngine {
     const places = namedPlaces(game, this.shift(message), s, rules);
     if (!Object.keys(places).length) {
       const { intended, proxies } = this.shift(message);
-      throw new Error(`a goal must have one cell in this level; none of ${[intended, ...proxies].join(", ")} has`);
+      throw new Error(`In this level, no goal is reached by going to one cell: ${[intended, ...proxies].join(", ")}.`);
     }
     const episode = played({ level, s, rules }, message.actions ?? []);
     let way = episode.states.map((one) => [Math.floor(one.x), Math.floor(one.y)]);
