@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing.synchronize import Event
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -84,8 +84,9 @@ def in_processes(count: int) -> Iterator[Submit]:
     """Run trainings in a pool of `count` processes."""
     # Spawned, not forked: torch's and the environments' threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    end = context.Event()
-    with ProcessPoolExecutor(count, context, _begin, (end,)) as pool:
+    # They end once it closes. An event would wait for an answer, also of those that were killed.
+    there, here = context.Pipe(duplex=False)
+    with there, here, ProcessPoolExecutor(count, context, _begin, (there,)) as pool:
         try:
             yield functools.partial(_submit, pool)
         except Exception as error:  # of one training; those that have begun go on to their end
@@ -93,11 +94,11 @@ def in_processes(count: int) -> Iterator[Submit]:
             try:
                 pool.shutdown(cancel_futures=True)
             except BaseException:
-                end.set()
+                here.close()
                 raise
             raise
         except BaseException:  # an interrupt: all end now, and go on from their checkpoints later
-            end.set()
+            here.close()
             pool.shutdown(cancel_futures=True)
             raise
 
@@ -118,11 +119,10 @@ def _submit(
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(end: Event) -> None:
+def _begin(there: Connection) -> None:
     """Leave interrupts to the parent, and end with it or on its request."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for target in (_end_with_parent, functools.partial(_end_at, end)):
-        threading.Thread(target=target, daemon=True).start()
+    threading.Thread(target=_end_at, args=(there,), daemon=True).start()
 
 
 def _train(config: Config, run: Path, track: Tracking | None, of: World | None = None) -> None:
@@ -132,16 +132,13 @@ def _train(config: Config, run: Path, track: Tracking | None, of: World | None =
     train_tracked(config, run, track, progress=False, wait=True)
 
 
-def _end_at(end: Event) -> None:
-    end.wait()
-    os._exit(1)
+def _end_at(there: Connection) -> None:
+    """End this process when the parent closes the pipe or is killed.
 
-
-def _end_with_parent() -> None:
-    """End this process if the parent is killed; otherwise it would keep its run folder locked."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
+    Otherwise it would keep its run folder locked.
+    """
+    with contextlib.suppress(EOFError, OSError):
+        there.recv()
     os._exit(1)
 
 
