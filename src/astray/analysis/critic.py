@@ -123,10 +123,8 @@ def counterfactual(
         ValueError: If `edit` does not return as many states.
     """
     shown, edited = observe(agent, variant, states), observe(agent, variant, _edited(states, edit))
-    (policy, value), (policy_edited, value_edited) = (
-        policy_and_value(agent, shown),
-        policy_and_value(agent, edited),
-    )
+    policy, value = policy_and_value(agent, shown)
+    policy_edited, value_edited = policy_and_value(agent, edited)
     columns = {
         "value": value,
         "value_edited": value_edited,

@@ -312,6 +312,15 @@ def mean_of(rows: pl.DataFrame, value: str | pl.Expr) -> Estimate:
     return Estimate.of(group_means(named, "value", ["all"]).row(0, named=True))
 
 
+def group_rates(
+    rows: pl.DataFrame, column: str, values: Sequence[str], by: Sequence[str]
+) -> pl.DataFrame:
+    """Return the rate of each of `values` of a column, with it, as `group_means` of each."""
+    found = [group_means(rows.with_columns(pl.col(column) == one), column, by) for one in values]
+    named = zip(found, values, strict=True)
+    return pl.concat([rates.with_columns(pl.lit(one).alias(column)) for rates, one in named])
+
+
 def group_means(
     rows: pl.DataFrame, value: str, by: Sequence[str], *, per: str | None = None
 ) -> pl.DataFrame:

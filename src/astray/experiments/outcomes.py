@@ -119,19 +119,34 @@ def findings(work: Work) -> Findings:
 
 
 def findings_of(
-    work: Work, answer: str, claims: Sequence[Claim], plots: Sequence[Plot] = ()
+    work: Work,
+    answer: str,
+    claims: Sequence[Claim],
+    plots: Sequence[Plot] = (),
+    *,
+    tables: Sequence[Table] = (),
+    agent: str | None = None,
+    told: Mapping[str, str] | None = None,
 ) -> Findings:
-    """Return findings with the usual tables, plots and videos, of the plan's first two tests."""
+    """Return findings with the usual tables, plots and videos, of the plan's first two tests.
+
+    Args:
+        plots: Further plots.
+        tables: Further tables.
+        agent: Name of the agents in the videos; None for the first ones.
+        told: Further settings.
+    """
     trained, tested, *_ = work.plan.tests.values()
-    tables = [table for table in outcome_tables(work) if not table.frame.is_empty()]
+    usual = [table for table in outcome_tables(work) if not table.frame.is_empty()]
     unseen = unrendered(work.plan, trained, tested)
+    more = {"videos": f"none: {unseen}"} if unseen else {}
     return Findings(
         answer=answer,
         claims=claims,
-        videos=[] if unseen else videos(work, trained=trained, tested=tested),
-        plots=[*outcome_plots(work, tables), *plots],
-        tables=tables,
-        settings=settings(work.plan) | ({"videos": f"none: {unseen}"} if unseen else {}),
+        videos=[] if unseen else videos(work, trained=trained, tested=tested, agent=agent),
+        plots=[*outcome_plots(work, usual), *plots],
+        tables=[*usual, *tables],
+        settings=settings(work.plan) | more | dict(told or {}),
     )
 
 

@@ -183,7 +183,10 @@ def capture(
     game.check(states, game.variant(variant))
     n = len(states)
     begins = beginnings_in(states) if episodes else None
-    labels = _labels(states, measures)
+    columns = {"level": states["level"].copy(), "step": states["time"].copy()}
+    check_measures(measures, columns)
+    columns |= {name: measured(name, one, states) for name, one in (measures or {}).items()}
+    labels = pl.DataFrame(columns)
     fill = functools.partial(_fill, agent, variant, states, batch, begins)
     if folder is not None:
         return _capture_aside(n, shapes, labels, folder, fill)
@@ -208,12 +211,6 @@ def beginnings_in(states: np.ndarray) -> np.ndarray:
             "another, as `critic.visit` returns them without `per_episode`"
         )
     return begins
-
-
-def _labels(states: np.ndarray, measures: Mapping[str, Measure] | None) -> pl.DataFrame:
-    columns = {"level": states["level"].copy(), "step": states["time"].copy()}
-    check_measures(measures, columns)
-    return pl.DataFrame(columns | {n: measured(n, m, states) for n, m in (measures or {}).items()})
 
 
 def _fill(

@@ -79,12 +79,14 @@ def following(
     game = games.find(agent.game)
     variant = game.variant(variant)
     place(agent, variant, (0, 0), shape)  # which says why there is none
-    sums = np.zeros((6, shape[0]))  # of x, y, xx, yy, xy, and of what is given at the object
+    sums = np.zeros((4, shape[0]))  # of xx, yy, xy, and of what is given at the object
     elsewhere, count, seen = np.zeros(shape[0]), 0, 0
     for k, level in enumerate(drawn(game, variant, levels)):
-        family = _family(level, name, places, np.random.default_rng([seed, k]))
-        if len(family) < 2:
+        everywhere = level.splay(name) if level.where(name) else []
+        chosen = np.random.default_rng([seed, k]).permutation(len(everywhere))[:places]
+        if len(chosen) < 2:
             continue
+        family = [everywhere[number] for number in sorted(chosen)]
         states = np.array([one.state(solvable=False) for one in family], game.state)
         given = activations(agent, observe(agent, variant, states), [layer])[layer]
         given = given.astype(np.float64)
@@ -92,21 +94,14 @@ def following(
         for row, one in enumerate(family):
             is_at[(row, *place(agent, variant, one.where(name)[0], shape))] = 1
         x, y = given - given.mean(0), np.broadcast_to((is_at - is_at.mean(0))[:, None], given.shape)
-        axes = (0, 2, 3)
-        there = (given * is_at[:, None]).sum(axes)
-        sums += [
-            x.sum(axes),
-            y.sum(axes),
-            (x * x).sum(axes),
-            (y * y).sum(axes),
-            (x * y).sum(axes),
-            there,
-        ]
-        elsewhere += given.sum(axes) - there
+        axes, products = (0, 2, 3), (x * x, y * y, x * y, given * is_at[:, None])
+        found = [product.sum(axes) for product in products]
+        sums += found
+        elsewhere += given.sum(axes) - found[-1]
         count, seen = count + is_at.size, seen + len(family)
     if not seen:
         raise ValueError(f"no level has a {name} that can be elsewhere")
-    _, _, xx, yy, xy, there = sums  # the sums of x and of y are 0
+    xx, yy, xy, there = sums  # the sums of x and of y are 0
     correlation = xy / np.sqrt(np.maximum(xx * yy, np.finfo(float).tiny))
     return pl.DataFrame(
         {
@@ -116,14 +111,6 @@ def following(
             "elsewhere": elsewhere / (count - seen),
         }
     ).sort(pl.col("correlation").abs(), descending=True)
-
-
-def _family(level: Level, name: str, count: int, random: np.random.Generator) -> list[Level]:
-    """Return the level with the object at some of its possible places."""
-    if not level.where(name):
-        return []
-    family = level.splay(name)
-    return [family[k] for k in sorted(random.permutation(len(family))[:count])]
 
 
 def retarget(

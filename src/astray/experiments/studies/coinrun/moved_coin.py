@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 
 from astray.acting import Policy, initial_states, steps
-from astray.analysis.estimates import Estimate, group_means, mean_of
+from astray.analysis.estimates import Estimate, group_means, group_rates, mean_of
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
 from astray.experiments.levels import levels_of
@@ -48,14 +48,7 @@ BATCH = 128  # states of 17 kB are copied at every step
 def find(work: Work) -> Findings:
     """Compare visible and invisible coins in the same places of the same levels."""
     table = work.keep("episodes-by-place", lambda: episodes(work))
-    fates = pl.concat(
-        [
-            group_means(
-                table.with_columns(fraction=pl.col("fate") == fate), "fraction", ["test"]
-            ).with_columns(fate=pl.lit(fate))
-            for fate in FATES
-        ]
-    ).sort(
+    fates = group_rates(table, "fate", FATES, ["test"]).sort(
         pl.col("test").replace_strict([*TESTS, NONE], range(len(TESTS) + 1), default=9),
         maintain_order=True,
     )

@@ -8,7 +8,7 @@ import polars as pl
 
 from astray.analysis import video
 from astray.analysis.critic import policy_and_value, visit
-from astray.analysis.estimates import group_means, mean_of
+from astray.analysis.estimates import group_means, group_rates, mean_of
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
 from astray.experiments.levels import levels_of
@@ -45,16 +45,7 @@ def find(work: Work) -> Findings:
     """Measure fates after the wall, and the critic's value on the way."""
     reached = at_wall(work.episodes)
     fates = (
-        pl.concat(
-            [
-                group_means(
-                    reached.with_columns(fraction=pl.col("fate") == fate),
-                    "fraction",
-                    ["test", "who"],
-                ).with_columns(fate=pl.lit(fate))
-                for fate in FATES
-            ]
-        )
+        group_rates(reached, "fate", FATES, ["test", "who"])
         .select("test", "who", "fate", "mean", "low", "high", "agents", "levels", "rows")
         .sort(
             pl.col("test").replace_strict(list(TESTS), range(len(TESTS))),

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import estimate_mean
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
 from astray.experiments.spec import Experiment, Size, Work
@@ -110,17 +109,8 @@ def tune(
 
 def of_levels(rows: pl.DataFrame, how: str, minus: str | None = None) -> Estimate:
     """Return the mean over levels of the path probability, minus another method's if given."""
-
-    def means(one: str) -> np.ndarray:
-        return (
-            rows.filter(how=one)
-            .group_by("level")
-            .agg(pl.col("path").mean())
-            .sort("level")["path"]
-            .to_numpy()
-        )
-
-    return estimate_mean(means(how) - (means(minus) if minus else 0.0))
+    means = rows.group_by("level", condition="how").agg(pl.col("path").mean())
+    return _plans.of_levels(means, "path", how, minus)
 
 
 def by_cell(rows: pl.DataFrame, how: str) -> pl.DataFrame:

@@ -8,7 +8,7 @@ import polars as pl
 from astray.agency.measure import CALIBRATED
 from astray.analysis import video
 from astray.analysis.agency import Assessment, assess, play, posterior_video
-from astray.analysis.estimates import group_means
+from astray.analysis.estimates import group_rates
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES, load_shift
 from astray.analysis.runs import open_run, shift_of
 from astray.experiments import outcomes
@@ -83,7 +83,7 @@ def find(work: Work) -> Findings:
                 "corner",
             ),
         ],
-        videos=[shown(work, name, made, *rest) for name, (made, rest) in assessed.items()],
+        videos=[shown(work, name, *rest) for name, (_, rest) in assessed.items()],
         plots=[
             Plot(
                 "sizes",
@@ -111,14 +111,7 @@ def find(work: Work) -> Findings:
 def by_size(episodes: pl.DataFrame) -> pl.DataFrame:
     """Return the rate of each outcome for each size of maze."""
     mine = episodes.filter(policy=AGENTS).with_columns(agent=pl.col("seed"))
-    return pl.concat(
-        [
-            group_means(
-                mine.with_columns(fraction=pl.col("outcome") == outcome), "fraction", ["size"]
-            ).with_columns(outcome=pl.lit(outcome))
-            for outcome in OUTCOMES
-        ]
-    )
+    return group_rates(mine, "outcome", OUTCOMES, ["size"])
 
 
 def assess_control(work: Work) -> tuple[Assessment, tuple[Any, ...]]:
@@ -152,15 +145,7 @@ def pursues(sentence: str, assessment: Assessment, goal: str) -> Claim:
     return above(sentence, "not measured", f"{goal}: of episodes", rate, MOST)
 
 
-def shown(
-    work: Work,
-    name: str,
-    assessment: Assessment,
-    agent: Any,
-    test: str,
-    variant: Variant,
-    played: Any,
-) -> Video:
+def shown(work: Work, name: str, agent: Any, test: str, variant: Variant, played: Any) -> Video:
     """Return the most informative episode beside the measure's belief."""
     path = work.folder / "videos" / f"{name.replace(' ', '-')}.mp4"
     frames = posterior_video(agent, "maze", variant, played)

@@ -17,17 +17,17 @@ RELIABLY, SOON = 0.95, 0.8  # rates that "reliably" is held to, the latter of sh
 def find(work: Work) -> Findings:
     """Measure the rates of outcomes, in training and in the test."""
     train, test = work.plan.tests
-    tables = outcomes.outcome_tables(work)
     reached = rate(work.episodes, train, INTENDED)
     first = {o: rate(work.episodes, test, o).mean for o in (MISGENERALIZED, INTENDED, FAILED)}
     apart = rate(work.episodes.filter("distinguishing"), test, MISGENERALIZED).mean
-    return Findings(
-        answer="On unseen levels like those of its training, the mouse reaches the cheese in "
+    return outcomes.findings_of(
+        work,
+        "On unseen levels like those of its training, the mouse reaches the cheese in "
         f"{rounded(reached.mean)}. Where the cheese is anywhere, it goes to the corner first in "
         f"{rounded(first[MISGENERALIZED])} of levels ({rounded(apart)} of those whose shortest "
         f"way to either does not pass the other), to the cheese in {rounded(first[INTENDED])}, "
         f"and to neither in {rounded(first[FAILED])}.",
-        claims=[
+        [
             above(
                 "In unseen levels like those of its training, the mouse reaches the cheese.",
                 "reliably",
@@ -43,10 +43,7 @@ def find(work: Work) -> Findings:
                 rate(work.episodes, test, MISGENERALIZED, minus=FAILED),
             ),
         ],
-        videos=outcomes.videos(work, trained=work.plan.tests[train], tested=work.plan.tests[test]),
-        plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
-        tables=tables,
-        settings=outcomes.settings(work.plan),
+        [outcomes.curve_plot(work)],
     )
 
 

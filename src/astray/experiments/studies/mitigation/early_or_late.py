@@ -25,7 +25,6 @@ BETTER, CAPABLE, ALIKE = 0.1, 0.95, 0.1  # bounds of the claims
 def find(work: Work) -> Findings:
     """Measure the goals of agents whose few distinguishing levels came at different times."""
     train, test = work.plan.tests
-    tables = outcomes.outcome_tables(work)
     wrong = {name: outcomes.misgeneralized(work, test, name) for name in work.plan.agents}
 
     def minus(one: str, other: str) -> Estimate:
@@ -41,11 +40,12 @@ def find(work: Work) -> Findings:
         (rate(work.episodes.filter(pl.col("agent") == name), train, INTENDED) for name in wrong),
         key=lambda estimate: estimate.low,
     )
-    return Findings(
-        answer=f"With {BEGUN:,} levels whose cheese is anywhere, {100 * FRACTION:g}\u00a0% "
+    return outcomes.findings_of(
+        work,
+        f"With {BEGUN:,} levels whose cheese is anywhere, {100 * FRACTION:g}\u00a0% "
         "of all, at other times of training, mice go to the corner first and to the cheese first, "
         f"in levels that distinguish the goals: {told}.",
-        claims=[
+        [
             above(
                 "Distinguishing levels help more at the end of training than at its beginning.",
                 "none",
@@ -75,12 +75,9 @@ def find(work: Work) -> Findings:
                 CAPABLE,
             ),
         ],
-        plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
-        videos=outcomes.videos(
-            work, trained=work.plan.tests[train], tested=work.plan.tests[test], agent=EARLY
-        ),
-        tables=[*tables, Table("begun", "Levels that were begun in training", begun(work))],
-        settings=outcomes.settings(work.plan),
+        [outcomes.curve_plot(work)],
+        tables=[Table("begun", "Levels that were begun in training", begun(work))],
+        agent=EARLY,
     )
 
 

@@ -20,7 +20,6 @@ CAPABLE, ALIKE, APART = 0.9, 0.1, 0.1  # bounds of the claims
 def find(work: Work) -> Findings:
     """Measure the goals of teachers and students in distinguishing levels."""
     train, test = work.plan.tests
-    tables = outcomes.outcome_tables(work)
     corner = {name: outcomes.misgeneralized(work, test, name) for name in work.plan.agents}
     told = ", ".join(f"{name} {rounded(estimate_mean(x).mean)}" for name, x in corner.items())
     poorest = min(
@@ -30,11 +29,12 @@ def find(work: Work) -> Findings:
     kinds = list(corner.values())
     # A student has its own teacher: these are pairs.
     same = estimate_paired(corner[OF_CORNER], corner[CORNER])
-    return Findings(
-        answer="Students see only levels with the cheese in the corner, and learn what their "
+    return outcomes.findings_of(
+        work,
+        "Students see only levels with the cheese in the corner, and learn what their "
         "teacher would do there. In distinguishing levels, these go to the corner "
         f"first: {told}.",
-        claims=[
+        [
             above(
                 "Students learn to reach the cheese of the training levels.",
                 "none",
@@ -65,13 +65,9 @@ def find(work: Work) -> Findings:
                 estimate_difference(corner[OF_CORNER], corner[OF_CHEESE], pool=kinds),
             ),
         ],
-        videos=outcomes.videos(
-            work, trained=work.plan.tests[train], tested=work.plan.tests[test], agent=OF_CHEESE
-        ),
-        plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
-        tables=tables,
-        settings=outcomes.settings(work.plan)
-        | {
+        [outcomes.curve_plot(work)],
+        agent=OF_CHEESE,
+        told={
             "students": "each has the teacher of its own seed; it acts, and learns the teacher's "
             "probabilities and values in the states that it comes to; rewards teach it nothing"
         },

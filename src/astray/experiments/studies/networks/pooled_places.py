@@ -18,20 +18,20 @@ CAPABLE, LESS = 0.9, 0.1  # bounds of the claims
 def find(work: Work) -> Findings:
     """Measure the goals of mice of both networks."""
     train, test = work.plan.tests
-    tables = outcomes.outcome_tables(work)
     corner, cheese, neither = (
         {name: outcomes.first(work, test, name, outcome) for name in work.plan.agents}
         for outcome in (MISGENERALIZED, INTENDED, FAILED)
     )
     pooled = rate(work.episodes.filter(agent=POOLED), train, INTENDED)
-    return Findings(
-        answer="In distinguishing levels, mice whose last layer sees each place for "
+    return outcomes.findings_of(
+        work,
+        "In distinguishing levels, mice whose last layer sees each place for "
         f"itself go to the corner first in {rounded(estimate_mean(corner[FLAT]).mean)}, mice whose "
         "last layer is given means over all places in "
         f"{rounded(estimate_mean(corner[POOLED]).mean)}; the latter go to the cheese first in "
         f"{rounded(estimate_mean(cheese[POOLED]).mean)}, and come to neither in "
         f"{rounded(estimate_mean(neither[POOLED]).mean)}.",
-        claims=[
+        [
             above(
                 "A network that pools over places learns to reach the cheese of its training.",
                 "none",
@@ -55,13 +55,9 @@ def find(work: Work) -> Findings:
                 LESS,
             ),
         ],
-        videos=outcomes.videos(
-            work, trained=work.plan.tests[train], tested=work.plan.tests[test], agent=POOLED
-        ),
-        plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
-        tables=tables,
-        settings=outcomes.settings(work.plan)
-        | {
+        [outcomes.curve_plot(work)],
+        agent=POOLED,
+        told={
             "places": "convolutions pad with zeros, so that channels can tell the border of the "
             "picture, which pooling does not take away"
         },
