@@ -2,6 +2,7 @@
 
 import functools
 import http.server
+import json
 import shutil
 import socket
 import threading
@@ -14,6 +15,21 @@ import pytest
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 PATIENCE = 120  # seconds until a page shows what is waited for; machines may be busy
 TOKEN = "a-token-that-nobody-guesses"
+# Plays actions in a level by the rules of a page, and tells its states.
+PLAY = """async ([game, level, variant, actions]) => {
+  const { rules } = await import(new URL(`rules/${game}.js`, location.href));
+  const { advance } = await import(new URL("rules/common.js", location.href));
+  const { snapshot } = await import(new URL("engine/episodes.js", location.href));
+  const s = rules.build(level, variant);
+  const packed = () => btoa(String.fromCharCode(...rules.planes(s).data));
+  const told = [[snapshot(s, rules), packed(), 0, false]];
+  for (const action of actions) {
+    const { reward } = advance(rules, s, action);
+    told.push([snapshot(s, rules), packed(), reward, s.ended]);
+    if (s.ended) break;
+  }
+  return JSON.stringify(told);
+}"""
 
 
 def chromium():
@@ -122,3 +138,8 @@ def lab_served(lab, port=None):
     finally:
         server.should_exit = True
         thread.join()
+
+
+def knobs(variant):
+    """The knobs of a variant, as a page receives them."""
+    return json.loads(json.dumps({k: v for k, v in vars(variant).items() if k != "shifted"}))

@@ -9,7 +9,7 @@ import torch
 from astray.agents.policy import weights
 from astray.lab.export import export
 from astray.lab.serving import make_lab
-from helpers.browsed import folder_served
+from helpers.browsed import folder_served, opened
 
 
 @pytest.fixture(scope="session")
@@ -24,6 +24,14 @@ def exported(tmp_path_factory):
 def static(exported):
     with folder_served(exported) as address:
         yield address
+
+
+@pytest.fixture(scope="module")
+def page(chrome, static):
+    """The page without Python, opened."""
+    with opened(chrome, static) as (page, told):
+        yield page
+        assert not told  # on the console
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import json
 import shlex
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -18,7 +17,7 @@ from astray import games, imports, world
 from astray.game import OWN, Game, Variant
 from astray.level import Level
 from astray.level_files import read_levels
-from astray.record import LEVELS, NEVER
+from astray.record import LEVELS
 from astray.training.settings import KNOB, otherwise
 from astray.validation import bounded, of_kind, one_of
 from astray.world import World
@@ -377,21 +376,6 @@ def varied(game: Game, variant: str, knobs: Words) -> Variant:
     return game.variant(variant).with_knobs(pairs(knobs))
 
 
-def action_numbers(game: Game, text: str) -> list[int]:
-    """Parse actions given by name or number; raise ValueError for an unknown one."""
-    found = []
-    for word in text.replace(",", " ").replace("[", " ").replace("]", " ").split():
-        name = word.strip("\"'")
-        number = int(name) if name.isdecimal() else NEVER
-        if name in game.actions:
-            number = game.actions.index(name)
-        if not 0 <= number < len(game.actions):
-            there = ", ".join(f"{k} {a}" for k, a in enumerate(game.actions))
-            raise ValueError(f"unknown action {name!r}; there are: {there}")
-        found.append(number)
-    return found
-
-
 def show(*what: RenderableType, width: int | None = None) -> None:
     """Print tables and markup, as wide as the terminal or `width` characters."""
     console = Console(width=width)
@@ -399,16 +383,6 @@ def show(*what: RenderableType, width: int | None = None) -> None:
         for one in what:
             console.print(one)
     print(shown.get(), end="")
-
-
-def standard_input(most: int) -> str:
-    """Read standard input; raise ValueError if it has more than `most` characters."""
-    if sys.stdin is None:
-        raise ValueError("standard input is closed; there is nothing to read")
-    text = sys.stdin.read(most + 1)
-    if len(text) > most:
-        raise ValueError(f"standard input must be at most {most:,} characters; there are more")
-    return text
 
 
 def print_json(data: Any) -> None:

@@ -1,5 +1,6 @@
 """Verbs that print, play, replay and compare levels."""
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,16 +16,15 @@ from astray.cli.arguments import (
     Json,
     Knobs,
     PlayedLevel,
-    action_numbers,
     level_numbers,
     print_json,
     show,
-    standard_input,
     varied,
 )
 from astray.files import read
 from astray.game import OWN, Game, Variant
 from astray.level import Level
+from astray.record import NEVER
 
 LONGEST = 2**20  # characters of actions: more than any episode has
 
@@ -143,6 +143,31 @@ def overlap(
     for row in shared.to_dicts():
         table.add_row(row["same"], f"{row['training']:,}", f"{row['test']:,}", f"{row['seen']:.1%}")
     show(table)
+
+
+def action_numbers(game: Game, text: str) -> list[int]:
+    """Parse actions given by name or number; raise ValueError for an unknown one."""
+    found = []
+    for word in text.replace(",", " ").replace("[", " ").replace("]", " ").split():
+        name = word.strip("\"'")
+        number = int(name) if name.isdecimal() else NEVER
+        if name in game.actions:
+            number = game.actions.index(name)
+        if not 0 <= number < len(game.actions):
+            there = ", ".join(f"{k} {a}" for k, a in enumerate(game.actions))
+            raise ValueError(f"unknown action {name!r}; there are: {there}")
+        found.append(number)
+    return found
+
+
+def standard_input(most: int) -> str:
+    """Read standard input; raise ValueError if it has more than `most` characters."""
+    if sys.stdin is None:
+        raise ValueError("standard input is closed; there is nothing to read")
+    text = sys.stdin.read(most + 1)
+    if len(text) > most:
+        raise ValueError(f"standard input must be at most {most:,} characters; there are more")
+    return text
 
 
 def _states(game: Game, variant: Variant, levels: np.ndarray) -> Iterator[Any]:

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, Suppress
 
-from astray import games, imports, world
+from astray import imports, world
 from astray.agents.names import check_network
 from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
 from astray.training import older
-from astray.training.named import name_of_game, name_of_variant
+from astray.training.named import name_of_played, name_of_variant
 from astray.training.settings import SCORING, Fast, Sampling, check, otherwise
 from astray.validation import of_kind, one_of
 from astray.world import World, WorldVariant
@@ -153,21 +153,17 @@ class Config:
         # What text says is the same setting as the value itself.
         object.__setattr__(self, "knobs", {name: getattr(variant, name) for name in self.knobs})
         self.find_game().drawn(self.art)
-        self._check_world()
+        if isinstance(self.find_game(), World) and self.sampler.kind != "uniform":
+            raise ValueError(
+                f"levels of {self.game} are drawn uniformly, as its states cannot be set; got the "
+                f"sampler {self.sampler.kind!r}"
+            )
         if self.validation is not None:
             self.validation_variant()
 
     def _take_objects(self) -> None:
         """Replace objects by the names, knobs and records that stand for them."""
-        given: dict[str, Any] = {}
-        if isinstance(self.game, Game):
-            given["game"] = name_of_game(self.game)
-        if isinstance(self.game, World) or self._names_world():
-            found: Any = self.game
-            found = found if isinstance(found, World) else imports.find(found)
-            of_kind("a world", found, World)
-            world.register(found)
-            given["game"] = found.name
+        given: dict[str, Any] = {"game": name_of_played(self.game)}
         if isinstance(self.sampler, str):
             given["sampler"] = Sampling(self.sampler)
         if isinstance(self.variant, Variant):
@@ -187,19 +183,6 @@ class Config:
                     "register the game with a variant of its own for it"
                 )
             object.__setattr__(self, "validation", name)
-
-    def _check_world(self) -> None:
-        """Raise ValueError if a setting needs a game's abilities, which a `World` lacks."""
-        if isinstance(self.find_game(), World) and self.sampler.kind != "uniform":
-            raise ValueError(
-                f"levels of {self.game} are drawn uniformly, as its states cannot be set; got the "
-                f"sampler {self.sampler.kind!r}"
-            )
-
-    def _names_world(self) -> bool:
-        """Whether `game` is no game's name, but a world's as module:WORLD, which is imported."""
-        is_name = isinstance(self.game, str) and imports.is_name(self.game)
-        return is_name and self.game not in games.names()
 
     @property
     def batch(self) -> int:

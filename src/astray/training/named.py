@@ -4,8 +4,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from astray import games
+from astray import games, imports, world
 from astray.game import Game, Variant, knobs
+from astray.validation import of_kind
+from astray.world import World
 
 
 def name_of_game(game: Game) -> str:
@@ -16,6 +18,25 @@ def name_of_game(game: Game) -> str:
         found = None
     if found is not game:
         raise ValueError(f"the game {game.name!r} must be registered first: astray.register(game)")
+    return game.name
+
+
+def name_of_played(game: Any) -> Any:
+    """Return the name of a game or a `World`; anything else that is no such object stays.
+
+    A World, also one that is named as module:WORLD and imported, is registered.
+
+    Raises:
+        ValueError: If a game is not registered, or what is imported is no World.
+    """
+    if isinstance(game, Game):
+        return name_of_game(game)
+    if isinstance(game, str) and imports.is_name(game) and game not in games.names():
+        game = imports.find(game)
+        of_kind("a world", game, World)
+    if not isinstance(game, World):
+        return game
+    world.register(game)
     return game.name
 
 

@@ -26,13 +26,18 @@ function frame(canvas, height, last) {
   return { paint, width, across };
 }
 
-function cursor(paint, x, height, colour) {
+// A line through points [[x, y], ...].
+function stroke(paint, points, colour, width, dashes = []) {
+  paint.setLineDash(dashes);
   paint.strokeStyle = colour;
-  paint.lineWidth = 1;
+  paint.lineWidth = width;
   paint.beginPath();
-  paint.moveTo(x, 2);
-  paint.lineTo(x, height - 14);
+  points.forEach(([x, y], k) => paint[k ? "lineTo" : "moveTo"](x, y));
   paint.stroke();
+}
+
+function cursor(paint, x, height, colour) {
+  stroke(paint, [[x, 2], [x, height - 14]], colour, 1);
 }
 
 // goals: {name: [T + 1]}, stacked from below; agent: [T + 1] or null, a dashed line.
@@ -55,15 +60,7 @@ export function drawPosterior(canvas, { goals, agent }, colours, now) {
     else paint.fill();
     below = above;
   }
-  if (agent) {
-    paint.setLineDash([4, 3]);
-    paint.strokeStyle = ink;
-    paint.lineWidth = 1.6;
-    paint.beginPath();
-    agent.forEach((rate, t) => paint[t ? "lineTo" : "moveTo"](across(t), down(rate)));
-    paint.stroke();
-    paint.setLineDash([]);
-  }
+  if (agent) stroke(paint, agent.map((rate, t) => [across(t), down(rate)]), ink, 1.6, [4, 3]);
   axis(paint, [[0, "0 %"], [0.5, "50 %"], [1, "100 %"]], down, soft, line, width);
   steps(paint, last, across, height, soft);
   cursor(paint, across(Math.min(now, last)), height, ink);
@@ -75,12 +72,7 @@ function axis(paint, marks, down, soft, line, width) {
   paint.textBaseline = "middle";
   for (const [amount, text] of marks) {
     paint.fillText(text, AXIS - 4, down(amount));
-    paint.strokeStyle = line;
-    paint.lineWidth = 0.5;
-    paint.beginPath();
-    paint.moveTo(AXIS, down(amount));
-    paint.lineTo(width - EDGE, down(amount));
-    paint.stroke();
+    stroke(paint, [[AXIS, down(amount)], [width - EDGE, down(amount)]], line, 0.5);
   }
 }
 
@@ -102,11 +94,7 @@ export function drawTimeline(canvas, { value, advantage, events, last }, now) {
   const [low, high] = [Math.min(0, ...value), Math.max(1e-6, ...value)];
   const down = (v) => 22 + (1 - (v - low) / (high - low || 1)) * 78;
   axis(paint, [[low, low.toFixed(1)], [high, high.toFixed(1)]], down, soft, line, width);
-  paint.strokeStyle = ink;
-  paint.lineWidth = 1.6;
-  paint.beginPath();
-  value.forEach((v, t) => paint[t ? "lineTo" : "moveTo"](across(t), down(v)));
-  paint.stroke();
+  stroke(paint, value.map((v, t) => [across(t), down(v)]), ink, 1.6);
   const most = Math.max(1e-6, ...advantage.map(Math.abs));
   const [middle, reach] = [128, 22];
   const thick = Math.max(1, ((width - AXIS - EDGE) / Math.max(last, 1)) * 0.7);
@@ -121,13 +109,7 @@ export function drawTimeline(canvas, { value, advantage, events, last }, now) {
   paint.fillText("value", AXIS, 10);
   let right = AXIS + 44;
   for (const { name, step } of events) {
-    paint.strokeStyle = soft;
-    paint.setLineDash([2, 3]);
-    paint.beginPath();
-    paint.moveTo(across(step), 18);
-    paint.lineTo(across(step), height - 16);
-    paint.stroke();
-    paint.setLineDash([]);
+    stroke(paint, [[across(step), 18], [across(step), height - 16]], soft, 1.6, [2, 3]);
     const wide = paint.measureText(name).width;
     const x = Math.min(Math.max(across(step) - 20, right), width - wide - 4);
     if (x < right || x > across(step)) continue; // its button below names it

@@ -1,0 +1,99 @@
+"""The rules that a page plays by are Python's: written again, or translated."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+
+from astray import games
+from astray.envs.vector import GameVectorEnv
+from astray.lab import translate
+from astray.lab.worlds import snapshot
+from astray.level import Level
+from helpers.browsed import PLAY, knobs
+
+STEPS = 150  # of each episode at random, each three times
+PLAYED = [
+    ("maze", "anywhere-small"), ("maze", "red-line-yellow-gem"), ("maze", "anywhere-memory"),
+    ("maze", "dish-small"), ("maze", "dish-apart-small"),
+    ("keys", "many-keys-small"), ("keys", "many-chests"), ("keys", "many-keys-penalties"),
+    ("coinrun", "coin-anywhere"), ("coinrun", "coin-end-permeable-continue"), ("heist", "near"),
+]  # fmt: skip
+WORLDS = [
+    ("pottery", "anywhere-picks"), ("monsters", "long"), ("follow", "anti-expert"),
+    ("trees", "season"), ("lavaland", "lava"), ("bridge", "up"), ("supervisor", "half"),
+    ("box", "boxes"), ("tomatoes", "bucket"), ("boat", "race"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name, kind", PLAYED)
+def test_rules_are_those_of_python_state_by_state(page, name, kind):
+    random = np.random.default_rng(3)
+    # runs of one action, as players make them, mostly to the right
+    often = [*[0.03] * 6, 0.1, 0.3, 0.3, *[0.02] * 6]
+    episodes = [np.repeat(random.choice(15, STEPS, p=often), 3) for _ in range(4)]
+    compare(page, name, kind, episodes)
+
+
+def test_keys_open_doors_as_in_python(page):
+    game, episodes = games.find("heist"), []
+    env = GameVectorEnv("heist", "small", 1, observation="symbolic", autoreset_mode="Disabled")
+    for level in range(3):
+        env.reset(seed=0, options={"level": level})
+        if level == 0:  # what would be done with the keys in hand, which a locked door ends
+            states = env.get_state()
+            states["hand"] = states["keys"]
+            env.set_state(states)
+        expert, actions = game.solver.expert(env.states[0], "gem"), []
+        while not env.states[0].ended:
+            actions.append(expert(env.states[0]))
+            env.step(np.array(actions[-1:]))
+        episodes.append(np.array(actions))
+    assert env.states[0].opened_blue > 0
+    compare(page, "heist", "small", episodes)
+
+
+@pytest.mark.parametrize("name, kind", WORLDS)
+def test_rules_that_are_translated_are_those_of_python_state_by_state(page, exported, name, kind):
+    game, random = games.find(name), np.random.default_rng(3)
+    (exported / "rules" / f"{name}.js").write_text(translate.module(game))
+    compare(page, name, kind, random.integers(len(game.actions), size=(2, STEPS)))
+
+
+def compare(page, name, kind, episodes):
+    game = games.find(name)
+    variant = game.variant(kind)
+    env = GameVectorEnv(name, kind, 1, observation="symbolic", autoreset_mode="Disabled")
+    for number, actions in enumerate(episodes):
+        env.reset(seed=0, options={"level": number})
+        level = Level.of(game, variant, env.get_state()[0])
+        given = [name, level.to_json(), knobs(variant), actions.tolist()]
+        told = json.loads(page.evaluate(PLAY, given))
+        seen, _ = env.reset(options={"state": level.state(solvable=False)})
+        reward = 0.0
+        for t, (state, planes, there_reward, ended) in enumerate(told):
+            s = env.get_state().view(np.recarray)[0]
+            expected = snapshot(game, s)
+            # Fields of the page's own are none of Python's; all others are equal, to the bit.
+            for field, value in state.items():
+                if field in expected and field not in ("level",):
+                    mine = expected[field]
+                    if isinstance(value, list):
+                        mine = mine[: len(value)]
+                    assert value == mine, (number, t, field)
+            assert base64.b64decode(planes) == seen.tobytes(), (number, t)
+            assert there_reward == reward and ended == s.ended
+            if t < len(told) - 1:
+                seen, rewards, _, _, _ = env.step(actions[t : t + 1])
+                reward = float(rewards[0])
+        assert ended or len(told) == len(actions) + 1
+
+
+def test_what_cannot_be_translated_is_refused_by_its_name():
+    with pytest.raises(ValueError, match=r"asks must be translated for .*, which knows no 'lambda"):
+        translate.Translation().name(asks)
+
+
+def asks(s):
+    return (lambda: s)()
