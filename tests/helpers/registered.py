@@ -3,8 +3,8 @@
 import re
 from collections.abc import Iterable
 
-from astray.experiments.register import register
 from astray.report.claims import Claim
+from docs.register import register
 
 OPEN = "…"  # in a sentence or rule, for what depends on the size or on what was measured
 

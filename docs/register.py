@@ -1,16 +1,13 @@
-"""The register of claims: their bounds, when these were set, and the power of the plans.
+"""Write the register of claims on its page, below its introduction: python docs/register.py.
 
-    python -m astray.experiments.register docs/register.md
-
-`register.toml` has the claims, from the repository's history. Tests run reports in miniature and
-find unregistered claims. Power is computed from the plans.
+It has bounds, when these were set, and the power of the plans. `register.toml` has the claims, from
+the repository's history. Tests run reports in miniature and find unregistered claims. Power is
+computed from the plans.
 """
 
 import math
-import sys
 import tomllib
 from collections.abc import Iterator, Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -18,19 +15,18 @@ from astray.experiments import catalogue
 from astray.experiments.spec import SPREADS, Plan, Size
 from astray.files import write_aside
 
+PAGE = Path(__file__).with_suffix(".md")
+
 
 def register() -> dict[str, dict[str, Any]]:
     """Return the entries of each study: its claims and their history."""
-    return tomllib.loads(_data("register.toml"))
-
-
-def _data(name: str) -> str:
-    return resources.files("astray.experiments").joinpath(name).read_text("utf-8")
+    return tomllib.loads(PAGE.with_suffix(".toml").read_text("utf-8"))
 
 
 def page() -> str:
-    """Return the register as a page."""
-    lines = [*_data("register.md").splitlines(), ""]
+    """Return the page: its introduction as it is, and the register of today."""
+    about, _, _ = PAGE.read_text("utf-8").partition("## ")
+    lines = [*about.splitlines()]
     for name, study in sorted(register().items()):
         whole = catalogue.load(name)
         lines += [f"## `{name}`: {whole.title}", "", _about(study, whole.sizes), ""]
@@ -81,5 +77,4 @@ def _points(rate: float) -> str:
 
 
 if __name__ == "__main__":
-    (target,) = sys.argv[1:]
-    write_aside(Path(target), page().encode())
+    write_aside(PAGE, page().encode())
