@@ -151,6 +151,19 @@ def test_the_card_of_a_life_without_end_is_about_the_test_alone(tmp_path):
     assert "| `season` | the agent |" in card and "| `life` |" not in card
 
 
+def test_a_card_tells_of_levels_once_where_all_distinguish_the_goals(tmp_path):
+    run = shutil.copytree(folders.find("bridge-middle"), tmp_path / "run")
+    keep.write_card("robot", run, "up", levels=4)
+    card = (run / "README.md").read_text()
+    assert "| `up` | the agent |" in card and "distinguishing" not in card
+
+
+def test_the_card_of_who_is_tested_where_it_was_trained_says_so(tmp_path):
+    run = shutil.copytree(folders.find("tomatoes-bucket"), tmp_path / "run")
+    keep.write_card("gardener", run, "bucket", levels=4)
+    assert "they come apart on `bucket`, where it was trained." in (run / "README.md").read_text()
+
+
 def test_what_rewards_were_divided_by_is_kept(run, mouse):
     divisor = AgentFolder.open(run).deviation()
     assert divisor and divisor == AgentFolder.open(mouse).deviation()

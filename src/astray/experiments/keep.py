@@ -142,9 +142,10 @@ def commands(config: Config) -> list[str]:
 
 
 def _rows(variant: str, result: Result) -> Iterator[list[Any]]:
-    """Return a row per policy, the agent first: levels, name, outcomes."""
+    """Return a row per policy, the agent first: levels, name, outcomes; none of levels twice."""
     (agent,) = result.agents
-    order = result.rates.sort(
+    every = pl.col("levels_played") == "all"
+    order = result.rates.filter(every | (pl.col("levels") < pl.col("levels").max())).sort(
         pl.col("levels_played") != "all", pl.col("policy") != agent, maintain_order=True
     )
     for part in order.partition_by("levels_played", "policy", maintain_order=True):
