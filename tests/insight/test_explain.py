@@ -103,6 +103,14 @@ def test_a_level_in_which_the_agent_reaches_a_goal_after_some_steps_comes_first(
     assert nearest.min() < TELLING  # as in level 4, where the mouse begins beside the corner
 
 
+def test_a_level_is_found_where_goals_are_counts_that_the_end_tells():
+    gardens, gardener = games.find("tomatoes"), load_agent("tomatoes-bucket")
+    shift = gardens.shifts["bucket"]
+    found = first_distinguishing(gardens, gardens.variant("bucket"), shift, agent=gardener)
+    (played,) = evaluate(gardener, gardens, "bucket", [found]).to_dicts()
+    assert played["length"] >= TELLING
+
+
 def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stderr", told := io.StringIO())
     path = astray("explain", "maze-corner", "--level", 200_003, "--others", 60, "--out", tmp_path)

@@ -92,7 +92,7 @@ def first_distinguishing(
     if agent:
         events = [*game.events_of(shift).values()]
         reached = played.filter(pl.col("outcome") != FAILED, policy=agent.name)
-        long = reached.filter(pl.min_horizontal(events) >= TELLING)
+        long = reached.filter(pl.min_horizontal("length", *events) >= TELLING)
         played = next((some for some in (long, reached) if some.height), played)
     return min(played["level"].to_list(), default=first)
 
