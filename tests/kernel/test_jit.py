@@ -1,6 +1,7 @@
 """Compiled code is of the functions that it is asked for, as they are."""
 
 import importlib
+import json
 import os
 import shutil
 import subprocess
@@ -94,6 +95,40 @@ def test_compiled_code_is_new_after_an_edit_of_a_constant_that_it_imports(tmp_pa
         assert done.returncode == 0, done.stderr
         told.append(done.stdout.split())
     assert told == [["-1", "0"], ["-1", "1"], ["-2", "0"]]
+
+
+READ = """
+import json, sys
+import numpy as np
+from astray.kernel import jit
+
+READ = json.load(open(sys.argv[1]))
+SPEED, PLACES = READ["speed"], (np.array(READ["places"]), 7)
+
+@jit.kernel
+def moved(x):
+    return x + SPEED
+
+@jit.entry
+def go(x):
+    return moved(x) + PLACES[0][1]
+
+print(go(1), sum(go.stats.cache_hits.values()))
+"""
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_compiled_code_is_new_after_a_change_of_a_value_that_a_module_reads(tmp_path):
+    program, values, told = tmp_path / "program.py", tmp_path / "values.json", []
+    program.write_text(READ)
+    known = environment(NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    for speed, place in ((1, 10), (1, 10), (2, 10), (2, 20)):
+        values.write_text(json.dumps({"speed": speed, "places": [0, place]}))
+        words = [sys.executable, program, values]
+        done = subprocess.run(words, env=known, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        told.append(done.stdout.split())
+    assert told == [["12", "0"], ["12", "1"], ["13", "0"], ["23", "0"]]
 
 
 DISTANCES = """

@@ -7,7 +7,7 @@ import inspect
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numba
@@ -19,6 +19,8 @@ from astray import provenance
 from astray.kernel.cache import cache_folder, held
 from astray.kernel.stored import Stored
 from astray.kernel.versions import LOCK
+
+VALUES = (bool, int, float, complex, str, bytes, tuple, np.ndarray, np.generic)  # in compiled code
 
 
 def version_digest() -> str:
@@ -52,7 +54,8 @@ def code_digest(function: Any) -> str | None:
         else:
             code = part.__code__
             told.append((name, code.co_qualname, code.co_firstlineno, code.co_code))
-    return provenance.digest([part for _, part in parts], data=told)
+            told.extend(_frozen(part, set()))
+    return provenance.digest([part for _, part in parts], data=sorted(told, key=repr))
 
 
 def _parts(name: str, part: Any) -> Iterator[tuple[str, Any]]:
@@ -61,6 +64,35 @@ def _parts(name: str, part: Any) -> Iterator[tuple[str, Any]]:
     yield name, part
     for inner, bound in getattr(part, "bound", {}).items():
         yield from _parts(inner, bound)
+
+
+def _frozen(function: FunctionType, passed: set[FunctionType]) -> Iterator[tuple[str, Any]]:
+    """Find the globals whose values compiled code keeps, also in the kernels that it calls.
+
+    No source shows these where a module read them from a file or the environment.
+    """
+    passed.add(function)
+    codes = [function.__code__]
+    for code in codes:
+        codes.extend(one for one in code.co_consts if isinstance(one, CodeType))
+    used, there = {name for code in codes for name in code.co_names}, function.__globals__
+    modules = (vars(there[name]) for name in used if isinstance(there.get(name), ModuleType))
+    for scope in (there, *modules):
+        for name in filter(scope.__contains__, used):
+            value = scope[name]
+            if hasattr(value, "_numba_type_"):
+                called = inspect.unwrap(getattr(value, "py_func", value))
+                if called not in passed:
+                    yield from _frozen(called, passed)
+            elif isinstance(value, VALUES):
+                yield name, _kept(value)
+
+
+def _kept(value: Any) -> Any:
+    """Return a value that numba keeps, such that its `repr` is complete."""
+    if isinstance(value, np.ndarray | np.void):
+        return value.dtype.descr, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
+    return [_kept(one) for one in value] if isinstance(value, tuple) else value
 
 
 class _Part(JITCodeLibrary):
