@@ -16,12 +16,14 @@ import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import urlsplit
 
+from starlette.websockets import WebSocketDisconnect
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 
 from astray.lab import server, session
-from astray.lab.server import Bucket, files
+from astray.lab.server import Bucket, Conversation, files
 from astray.lab.serving import make_lab
+from astray.lab.session import Session
 from helpers.browsed import lab_served
 
 
@@ -79,6 +81,29 @@ def test_text_that_is_no_utf8_ends_the_page_and_is_logged_in_a_line(served):
         logger.removeHandler(kept)
     assert all(record.exc_info is None for record in records)
     assert fetched(served)[0] == 200
+
+
+class Leaving:
+    """A page that asks, and has left before the answer."""
+
+    def __init__(self):
+        self.asked, self.left = False, asyncio.Event()
+
+    async def receive_text(self):
+        if not self.asked:
+            self.asked = True
+            return '{"id": 1, "kind": "hello"}'
+        await self.left.wait()
+        raise RuntimeError('WebSocket is not connected. Need to call "accept" first.')
+
+    async def send_text(self, text):
+        self.left.set()
+        raise WebSocketDisconnect(1006)
+
+
+def test_a_page_that_leaves_amid_an_answer_ends_its_conversation():
+    lab = make_lab("maze-corner", {})
+    asyncio.run(asyncio.wait_for(Conversation(Leaving(), Session(lab), lab).hold(), 60))
 
 
 def test_the_address_is_told_when_somebody_listens_there(monkeypatch):

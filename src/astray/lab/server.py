@@ -159,7 +159,8 @@ class Conversation:
                 self._note(text)
                 self.waiting = [*self.waiting[-WAITING + 1 :], text]
                 self.came.set()
-        except (WebSocketDisconnect, KeyError):  # KeyError: bytes, where text was expected
+        # KeyError: bytes, where text was expected; RuntimeError: it left while it was answered
+        except (WebSocketDisconnect, KeyError, RuntimeError):
             pass
         finally:
             answering.cancel()
