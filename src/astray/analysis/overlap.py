@@ -1,6 +1,6 @@
 """Overlap of test and training levels: equal levels with different numbers."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from hashlib import blake2b
 from itertools import chain, pairwise
 from typing import Any
@@ -9,10 +9,10 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.acting import CHUNK, initial_states
+from astray.envs.beginnings import in_chunks
 from astray.game import Game, Variant
 from astray.level import EMPTY
-from astray.record import COMMON, level_numbers
+from astray.record import COMMON
 
 SEARCHED = 100  # levels looked at for each that is needed
 
@@ -31,7 +31,7 @@ def overlap(
     """
     game = games.find(game)
     seen, tested = (
-        [(_level(game, s), _walls(game, s)) for s in chain(*_states(game, variant, levels))]
+        [(_level(game, s), _walls(game, s)) for s in chain(*in_chunks(game, variant, levels))]
         for variant, levels in ((training, training_levels), (test, test_levels))
     )
     rows = []
@@ -59,7 +59,7 @@ def met(game: str | Game, trainings: Iterable[tuple[str | Variant, range]]) -> s
         variants.setdefault(numbers, []).append(variant)
     known = set()
     for numbers, made in variants.items():
-        for chunks in zip(*(_states(game, variant, numbers) for variant in made), strict=True):
+        for chunks in zip(*(in_chunks(game, variant, numbers) for variant in made), strict=True):
             known.update(_level(game, s) for s in chunks[0])
             for before, states in pairwise(chunks):
                 known.update(_level(game, s) for s in states[_differ(before, states)])
@@ -82,25 +82,14 @@ def unseen(
     game = games.find(game)
     found: list[int] = []
     looked = candidates[: SEARCHED * count]
-    for first in range(0, len(looked), CHUNK):
-        numbers = looked[first : first + CHUNK]
-        fresh = [_level(game, s) not in known for s in initial_states(game, test, numbers)]
-        found += np.array(numbers)[fresh].tolist()
+    for states in in_chunks(game, test, looked) if looked else ():
+        found += [int(s["level"]) for s in states if _level(game, s) not in known]
         if len(found) >= count:
             return np.array(found[:count])
     raise ValueError(
         f"of {len(looked)} levels of {game.name} that no training drew from, only "
         f"{len(found)} are not in them; {count} are needed"
     )
-
-
-def _states(
-    game: str | Game, variant: str | Variant, levels: Sequence[int] | np.ndarray | range
-) -> Iterator[np.ndarray]:
-    """Yield the initial states of levels, CHUNK at a time; each chunk is overwritten."""
-    numbers = level_numbers(levels)
-    for first in range(0, len(numbers), CHUNK):
-        yield initial_states(game, variant, numbers[first : first + CHUNK])
 
 
 def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:

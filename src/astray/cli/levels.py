@@ -1,16 +1,13 @@
 """Verbs that print, play, replay and compare levels."""
 
 import sys
-from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 from rich.table import Table
 from tyro.conf import Positional
 
 from astray import games
-from astray.acting import CHUNK, initial_states
 from astray.cli.arguments import (
     Drawn,
     Json,
@@ -21,8 +18,9 @@ from astray.cli.arguments import (
     show,
     varied,
 )
+from astray.envs.beginnings import in_chunks
 from astray.files import read
-from astray.game import OWN, Game, Variant
+from astray.game import OWN, Game
 from astray.level import Level
 from astray.record import NEVER
 
@@ -39,7 +37,8 @@ def level(game: Drawn, numbers: str = "0", text: bool = False, json: Json = Fals
         text: Print only the drawings, without headings.
     """
     rules, levels = game.open()
-    for s in _states(rules, levels, level_numbers(numbers)):
+    # Chunk by chunk, so that the first can be printed at once.
+    for s in chain.from_iterable(in_chunks(rules, levels, level_numbers(numbers))):
         if json:
             print_json(
                 {"game": game.game, "variant": game.variant, "level": int(s.level)}
@@ -168,12 +167,3 @@ def standard_input(most: int) -> str:
     if len(text) > most:
         raise ValueError(f"standard input must be at most {most:,} characters; there are more")
     return text
-
-
-def _states(game: Game, variant: Variant, levels: np.ndarray) -> Iterator[Any]:
-    """Yield the initial state of each level, so that the first can be printed at once.
-
-    Memory does not grow with the number of levels.
-    """
-    for first in range(0, len(levels), CHUNK):
-        yield from initial_states(game, variant, levels[first : first + CHUNK])

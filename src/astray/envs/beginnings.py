@@ -1,6 +1,7 @@
 """The initial states of levels."""
 
-from collections.abc import Mapping, Sequence, Sized
+from collections.abc import Iterator, Mapping, Sequence, Sized
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +35,19 @@ def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> 
         found.append(env.get_state()[: len(begin) - first])
     env.close()
     return np.concatenate(found).view(np.recarray)
+
+
+def in_chunks(game: str | Game, variant: str | Variant, levels: Levels) -> Iterator[np.recarray]:
+    """Yield the initial states of `levels`, CHUNK at a time, so that memory does not grow.
+
+    Raises:
+        ValueError: If a level number or a drawn level is invalid.
+    """
+    is_named = isinstance(levels, Mapping)
+    every: Any = [*levels.items()] if is_named else level_numbers(levels)
+    for first in range(0, len(every), CHUNK):
+        some = every[first : first + CHUNK]
+        yield initial_states(game, variant, dict(some) if is_named else some)
 
 
 def beginnings(levels: Levels, dtype: np.dtype) -> tuple[str, np.ndarray]:

@@ -18,8 +18,9 @@ import numpy as np
 import polars as pl
 
 from astray import games, imports
-from astray.acting import CHUNK, Levels, initial_states
+from astray.acting import Levels
 from astray.analysis.estimates import estimate_mean
+from astray.envs.beginnings import in_chunks
 from astray.estimate import Estimate
 from astray.game import Game, Variant
 from astray.validation import MOST, bounded, of_kind
@@ -43,16 +44,10 @@ def level_features(game: str | Game, variant: str | Variant, levels: Levels) -> 
     if found.features is None:
         raise ValueError(f"the game {found.name!r} has no features of levels; maze has")
     of_kind("levels", levels, Sequence | range | np.ndarray | dict)
-    parts, names = [], list(levels)
-    by_name: Any = levels
-    for first in range(0, len(names), CHUNK):
-        some: Any = (
-            {n: by_name[n] for n in names[first : first + CHUNK]}
-            if isinstance(levels, dict)
-            else names[first : first + CHUNK]
-        )
-        states = initial_states(found, variant, some)
-        parts.append(pl.DataFrame({"level": states["level"].copy()} | found.features(states)))
+    parts = [
+        pl.DataFrame({"level": states["level"].copy()} | found.features(states))
+        for states in in_chunks(found, variant, levels)
+    ]
     return pl.concat(parts).with_columns(pl.selectors.float().fill_nan(None))
 
 

@@ -307,11 +307,7 @@ def each_field(
             yield from (Field(one, *_led(agent, variant, one, there)) for one, there in both)
             continue
         policy, value = ask(agent, variant, np.concatenate(states))
-        first = 0
-        for one in places:
-            part = slice(first, first + len(one.centres))
-            yield Field(one, policy[part], value[part])
-            first = part.stop
+        yield from map(Field, places, _apart(policy, states), _apart(value, states))
 
 
 def _led(
@@ -340,18 +336,16 @@ def _batches(game: Game, variant: Variant, levels: Levels) -> Iterator[list[Leve
 
 def places_of(levels: Sequence[Level]) -> tuple[list[Places], list[np.ndarray]]:
     """Return the places of levels of one variant, and for each the states [K] there."""
-    if not levels:
-        return [], []
     splayed = [splay(level) for level in levels]
     states = np.concatenate(splayed)
     after = outcomes(levels[0].game, levels[0].variant, states)
     centres = levels[0].game.places.centre(states)
-    found, first = [], 0
-    for level, some in zip(levels, splayed, strict=True):
-        part = slice(first, first + len(some))
-        found.append(Places(level, centres[part], after[part]))
-        first = part.stop
-    return found, splayed
+    return [*map(Places, levels, _apart(centres, splayed), _apart(after, splayed))], splayed
+
+
+def _apart(joined: np.ndarray, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Split an array again whose rows belong to `parts`, one after another."""
+    return np.split(joined, np.cumsum([len(part) for part in parts])[:-1])
 
 
 def drawn(game: Game, variant: Variant, levels: Levels) -> Iterator[Level]:
