@@ -42,11 +42,8 @@ class Pool:
 
     def _start(self) -> None:
         looks = MOST_LOOKS if self.threads <= usable_processors() else 0
-        self._process, self._generation, self._barrier = (
-            os.getpid(),
-            0,
-            new_barrier(self.threads, looks),
-        )
+        self._process, self._generation = os.getpid(), 0
+        self._barrier = new_barrier(self.threads, looks)
         self._workers: list[_Worker] = []
         try:
             for k in range(1, self.threads):

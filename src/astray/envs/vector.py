@@ -192,11 +192,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         options = options or {}
         for name in options:
             one_of("option", name, OPTIONS)
-        which = np.ones(self.num_envs, bool)
-        if "reset_mask" in options:
-            which = np.array(options["reset_mask"])
-            if which.shape != (self.num_envs,) or which.dtype != bool:
-                raise ValueError(f"reset_mask must be {self.num_envs} booleans; got {which}")
+        which = np.array(options.get("reset_mask", np.ones(self.num_envs, bool)))
+        if which.shape != (self.num_envs,) or which.dtype != bool:
+            raise ValueError(f"reset_mask must be {self.num_envs} booleans; got {which}")
         if not self._seeded and not which.all():
             raise ValueError(
                 "the first reset is of all environments; got a reset_mask that leaves some out"

@@ -145,11 +145,8 @@ def points(
         columns: Number of panels side by side.
         sharex: Whether all panels share the axis of values.
     """
-    names, looks, panels = (
-        names_of(data, row),
-        looks_of(names_of(data, group)),
-        parts_of(data, panel),
-    )
+    names, looks = names_of(data, row), looks_of(names_of(data, group))
+    panels = parts_of(data, panel)
     height = len(names) * (0.22 + 0.1 * len(looks)) + 0.4
     figure, grid = grid_of(len(panels), columns, height, sharey=True, sharex=sharex)
     for axes, (title, table) in zip(grid, panels.items(), strict=True):

@@ -74,10 +74,8 @@ def check_recalled(network: nn.Module, samples: Sequences) -> None:
     _, _, state = network.recall(shown[0], samples.state, samples.begins[0])
     steps, places = (torch.arange(n, device=state.device) for n in shown.shape[:2])
     begins = (steps[:, None] + places) % 3 == 2
-    acted, learned = (
-        Recurrent.unroll(network, shown, state, begins),
-        network.unroll(shown, state, begins),
-    )
+    acted = Recurrent.unroll(network, shown, state, begins)
+    learned = network.unroll(shown, state, begins)
     for then, now in zip(acted[:2], learned[:2], strict=True):
         if (apart := _size(now - then)) > APART * then.std() + ROUNDED * _size(then):
             raise ValueError(

@@ -180,10 +180,8 @@ class Mixed:
                 "sampler 'mixed' needs a variant some of whose levels are shifted: "
                 f"shift_probability must be between 0 and 1; got {stock}"
             )
-        self.config, self.fraction = (
-            config,
-            stock if config.sampler.fraction is None else config.sampler.fraction,
-        )
+        self.config = config
+        self.fraction = stock if config.sampler.fraction is None else config.sampler.fraction
         if not self.fraction and config.sampler.shifted_levels:
             raise ValueError("shifted_levels needs a fraction above 0; got 0")
         if config.sampler.schedule == "annealed" and self.fraction > 0.5:
