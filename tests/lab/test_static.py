@@ -22,6 +22,7 @@ from astray.agents.policy import Architecture
 from astray.analysis.critic import policy_and_value
 from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
+from astray.kernel import rng
 from astray.lab import constants, goals
 from astray.lab.agents import Agents
 from astray.lab.export import export, file_names
@@ -31,6 +32,7 @@ from astray.lab.serving import make_lab
 from astray.lab.session import Lab, Session
 from astray.lab.worlds import read_world
 from astray.level import Level
+from astray.training import ppo
 from astray.training.ppo import RewardNormaliser, advantages
 from helpers.browsed import PLAY, folder_served, knobs, opened, wait
 
@@ -252,6 +254,29 @@ def test_the_page_repeats_no_constant_of_python():
     for file in Path(constants.__file__).with_name("page").rglob("*.js"):
         for name, value in re.findall(r"const ([A-Z_]+) = ([\d.]+);", file.read_text("utf-8")):
             assert (name, float(value)) not in numbers, (file.name, name)
+
+
+def test_the_page_repeats_no_number_of_the_generators():
+    numbers = {int(value) for value in vars(rng).values() if isinstance(value, np.uint64)}
+    for file in Path(constants.__file__).with_name("page").rglob("*.js"):
+        for literal in re.findall(r"\b(?:0x[0-9a-f]{6,}|\d{7,})", file.read_text("utf-8")):
+            assert int(literal, 0) not in numbers - {0xFFFFFFFF}, (file.name, literal)
+
+
+def test_the_page_draws_by_the_constants_that_python_has_now(chrome, static, exported, monkeypatch):
+    program = """async () => {
+      const { noise, sample } = await import(new URL("agent/noise.js", location.href));
+      return [noise(3, 7, 2, 4), sample([0.5, 0.5], [0.6, 0.9])];
+    }"""
+    told = []
+    for unit, below_one in ((2.0**-53, 1 - 1e-7), (2.0**-54, 0.5)):
+        monkeypatch.setattr(rng, "TO_UNIT", unit)
+        monkeypatch.setattr(ppo, "BELOW_ONE", below_one)
+        with now(exported), opened(chrome, static, "true") as (page, _):
+            told.append(page.evaluate(program))
+    drawn = np.zeros((1, 4), np.float32)
+    rng.fill_noise(3, np.array([7]), np.array([2]), drawn)
+    assert told == [[drawn[0].tolist(), 1], [(drawn[0] / 2).tolist(), 0]]
 
 
 def test_the_posterior_is_that_of_python(page):

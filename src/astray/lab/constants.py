@@ -26,11 +26,13 @@ from astray.kernel import grid, maze, rng, stage, thief
 from astray.lab import goals
 from astray.training import ppo
 
+EXACT = 2**53  # up to which JavaScript keeps every integer
 PATH = "rules/constants.js"  # from the page
 # By the name that JavaScript imports: modules, and the names in them.
 TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
     "common": ((grid, "ACTIONS MOVES STAY"), (maze, "WALL"), (record, "NEVER")),
-    "twister": ((rng, "WORDS MIDDLE"),),
+    "twister": ((rng, "WORDS MIDDLE SEED_FACTOR TWIST HIGH_BIT LOW_31 TEMPER_B TEMPER_C"),),
+    "noises": ((rng, "GAMMA MIX_1 MIX_2 TO_UNIT"), (ppo, "BELOW_ONE")),
     "grid": ((abilities, "OVER"),),
     "rewards": ((ppo, "CLIP"),),
     "goals": ((goals, "TOGETHER NEITHER OTHER BETA"),),
@@ -64,7 +66,7 @@ TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
         (coinrun_cells, "CRATE_HERE SAW_HERE WALKER_LEFT SAW_AND_LEFT LEGEND STOOD_ON"),
         (coinrun_draw, "VIEW AROUND GAUGE PLANES GROUNDS RUNNERS POSES RUNNER_HEIGHT PERIOD"),
         (coinrun_draw, "WALL_PLANE HAZARD_PLANE CRATE_PLANE COIN_PLANE LEFT_PLANE RIGHT_PLANE"),
-        (coinrun_draw, "GAUGE_PLANE CRATES"),
+        (coinrun_draw, "GAUGE_PLANE CRATES EDGE"),
     ),
 }
 
@@ -79,6 +81,7 @@ def module() -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """Convert a NumPy number for JSON; as a double it keeps every bit."""
+    """Convert a NumPy number for JSON; as text if it is larger than JavaScript's can be."""
     assert isinstance(value, np.generic)
-    return value.item()
+    plain: Any = value.item()
+    return str(plain) if isinstance(plain, int) and plain > EXACT else plain

@@ -16,6 +16,7 @@ from astray.agents.recurrent import Recurrent
 from astray.training.config import Config
 
 CLIP = 10.0  # of normalised rewards, as in the original
+BELOW_ONE = 1 - 1e-7  # largest noise of which `sample` takes logarithms
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def sample(logits: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
     """
     of_all = log_probabilities(logits)
     tiny = torch.finfo(noise.dtype).tiny
-    gumbel = -torch.log(-torch.log(noise.clamp(min=tiny, max=1 - 1e-7)))
+    gumbel = -torch.log(-torch.log(noise.clamp(min=tiny, max=BELOW_ONE)))
     action = (of_all + gumbel).argmax(-1)
     return action, of_all.gather(-1, action[:, None]).squeeze(-1)
 

@@ -39,6 +39,7 @@ MARGIN = 7  # cells of wall around the world in the scene, so that every window 
 CELLS = WORLD + 2 * MARGIN
 LARGEST = 128  # pixels a side of a picture; for larger ones no scene is kept, it would be huge
 FINEST = 10.0  # pixels per cell of a backdrop; larger pictures blur it
+EDGE = 0.49  # cells from the middle of a walker to its ends, which say the cells that it is in
 PERIOD = 5  # steps from one picture of a walker to the next
 RUNNER_HEIGHT = 88 / 64  # of its pictures, in cells, from its feet up
 PUFF_DOWN, PUFF_RISE, PUFF_GROWTH = 0.25, 0.01, 1.05  # cells, cells per step, per step
@@ -278,7 +279,7 @@ def foreground_planes(s, scene, planes):
         row = int(s.walker_y[k]) - y + AROUND
         plane = LEFT_PLANE if s.walker_vx[k] < 0 else RIGHT_PLANE
         for side in range(2):  # the two cells that it is in
-            column = int(np.floor(s.walker_x[k] - 0.49 + 0.98 * side)) - x + AROUND
+            column = int(np.floor(s.walker_x[k] - EDGE + 2 * EDGE * side)) - x + AROUND
             if 0 <= row < VIEW and 0 <= column < VIEW:
                 planes[plane, row, column] = 1
     gauge(planes, 0, s.x - x)

@@ -1,10 +1,10 @@
 // Uniform numbers that are functions of seed, level and step: `astray.kernel.rng.fill_noise`.
 
+import { noises } from "../rules/constants.js";
+
 const MASK = (1n << 64n) - 1n;
-const GAMMA = 0x9e3779b97f4a7c15n;
-const MIX_1 = 0xbf58476d1ce4e5b9n;
-const MIX_2 = 0x94d049bb133111ebn;
-const TO_UNIT = 2 ** -53;
+const { TO_UNIT, BELOW_ONE } = noises;
+const [GAMMA, MIX_1, MIX_2] = [noises.GAMMA, noises.MIX_1, noises.MIX_2].map(BigInt);
 const TINY = 1.1754943508222875e-38; // the smallest normal number of 32 bits
 
 function mix(number) {
@@ -27,7 +27,7 @@ export function noise(seed, level, time, count) {
 export function sample(policy, uniform) {
   let [best, most] = [0, -Infinity];
   policy.forEach((rate, action) => {
-    const u = Math.min(Math.max(uniform[action], TINY), Math.fround(1 - 1e-7));
+    const u = Math.min(Math.max(uniform[action], TINY), Math.fround(BELOW_ONE));
     const score = Math.log(rate) - Math.log(-Math.log(u));
     if (score > most) [best, most] = [action, score];
   });

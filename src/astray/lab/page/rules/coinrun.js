@@ -12,7 +12,7 @@ const {
   NOTHING, CRATE, SAW, CRATE_HERE, SAW_HERE, WALKER_LEFT, SAW_AND_LEFT, HALF, TALL, CORNER, NEAR,
   FOOT, GRAVITY, JUMP, FASTEST, MIX_GROUND, MIX_AIR, STROLL, TURN, WALKERS, EVENTS, VIEW, AROUND,
   GAUGE, PLANES, STAND, WALK, WALL_PLANE, HAZARD_PLANE, CRATE_PLANE, COIN_PLANE, LEFT_PLANE,
-  RIGHT_PLANE, GAUGE_PLANE,
+  RIGHT_PLANE, GAUGE_PLANE, EDGE,
 } = coinrun;
 const FAR = 9; // cells from the runner to places with arrows; in the live lab 16, as Python is faster
 
@@ -336,7 +336,7 @@ function planes(s) {
   for (let k = 0; k < s.walkers; k++) {
     const row = Math.trunc(s.walker_y[k]) - y + AROUND;
     for (let side = 0; side < 2; side++) {
-      const column = Math.floor(s.walker_x[k] - 0.49 + 0.98 * side) - x + AROUND;
+      const column = Math.floor(s.walker_x[k] - EDGE + 2 * EDGE * side) - x + AROUND;
       if (row >= 0 && column >= 0 && row < VIEW && column < VIEW) {
         mark(s.walker_vx[k] < 0 ? LEFT_PLANE : RIGHT_PLANE, row, column);
       }

@@ -2,7 +2,7 @@
 
 import { twister } from "./constants.js";
 
-const { WORDS, MIDDLE } = twister;
+const { WORDS, MIDDLE, SEED_FACTOR, TWIST, HIGH_BIT, LOW_31, TEMPER_B, TEMPER_C } = twister;
 
 export class Twister {
   constructor(number) {
@@ -11,7 +11,7 @@ export class Twister {
     let word = number >>> 0;
     this.words[0] = word;
     for (let i = 1; i < WORDS; i++) {
-      word = (Math.imul(1812433253, word ^ (word >>> 30)) + i) >>> 0;
+      word = (Math.imul(SEED_FACTOR, word ^ (word >>> 30)) + i) >>> 0;
       this.words[i] = word;
     }
   }
@@ -26,15 +26,15 @@ export class Twister {
   word() {
     const { words, next: i } = this;
     const after = (i + 1) % WORDS;
-    const y = (words[i] & 0x80000000) | (words[after] & 0x7fffffff);
+    const y = (words[i] & HIGH_BIT) | (words[after] & LOW_31);
     let word = words[(i + MIDDLE) % WORDS] ^ (y >>> 1);
-    if (y & 1) word ^= 0x9908b0df;
+    if (y & 1) word ^= TWIST;
     words[i] = word;
     this.next = after;
     word = words[i];
     word ^= word >>> 11;
-    word ^= (word << 7) & 0x9d2c5680;
-    word ^= (word << 15) & 0xefc60000;
+    word ^= (word << 7) & TEMPER_B;
+    word ^= (word << 15) & TEMPER_C;
     return (word ^ (word >>> 18)) >>> 0;
   }
 
