@@ -183,6 +183,12 @@ def test_a_name_is_one_and_new(run, mouse, name, message):
         keep.keep(run, name, folder=mouse.parent)
 
 
+def test_what_was_kept_is_not_kept_again(mouse, tmp_path):
+    with pytest.raises(ValueError, match=r"cannot be kept: it has no metrics\.jsonl"):
+        keep.keep(mouse, "again", folder=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 def test_what_is_too_large_is_not_kept(run, tmp_path):
     with pytest.raises(ValueError, match=r"a pretrained one is at most 0\.01 MB"):
         keep.keep(run, "mouse", folder=tmp_path, levels=10, largest=10_000)

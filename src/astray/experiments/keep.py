@@ -31,6 +31,7 @@ from astray.training.folders import (
     check_new,
     made,
 )
+from astray.training.log import METRICS
 
 LARGEST = 3_000_000  # bytes of an agent that is kept
 POINTS = 300  # of its curve, at most
@@ -53,7 +54,8 @@ def keep(
         largest: Largest size of its weights in bytes.
 
     Raises:
-        ValueError: If the name is invalid or taken, or the weights are too large.
+        ValueError: If the name is invalid or taken, or the weights are too large, or there are no
+            metrics of its training, as of an agent that was kept.
     """
     folder = Path(folder)
     check_new(name, folder)
@@ -63,6 +65,8 @@ def keep(
             f"the agent is {size / 1e6:.1f} MB; a pretrained one is at most {largest / 1e6:g} MB"
         )
     source, named = AgentFolder.of(agent.path), shift or shift_of(config)
+    if not (source.path / METRICS).exists():
+        raise ValueError(f"{run} cannot be kept: it has no {METRICS}, for its curve")
     with made(folder, name) as aside:
         there = aside / "checkpoints" / f"{source.steps}"
         there.mkdir(parents=True, exist_ok=True)
