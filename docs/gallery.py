@@ -151,9 +151,9 @@ TILES = {
 }
 
 
-def played() -> list[str]:
-    """Return the games of the gallery that a page plays without Python."""
-    return [name for name in TILES if is_played(games.find(name))]
+def played() -> dict[str, str]:
+    """Return the games of the gallery that a page plays without Python, and the variants shown."""
+    return {name: one.variant for name, one in TILES.items() if is_played(games.find(name))}
 
 
 def gallery() -> str:

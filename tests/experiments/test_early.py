@@ -1,5 +1,6 @@
 """What cannot be done is refused before the work, not after hours of it."""
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -127,3 +128,12 @@ def test_a_lab_that_cannot_be_exported_is_refused_before_anything_is_computed(
         exporting.export(make_lab(None, {"game": "mine"}), tmp_path / "site")
     with pytest.raises(ValueError, match="'coin-end-pixels' sees images of coinrun, where things"):
         exporting.export(make_lab("coin-end-pixels", {}), tmp_path / "site")
+    with pytest.raises(ValueError, match="unknown variant 'far' of heist"):
+        exporting.export(make_lab(None, {}), tmp_path / "site", games={"heist": "far"})
+
+
+def test_a_game_without_an_agent_is_exported_with_the_variant_that_is_named(tmp_path):
+    lab = make_lab("maze-corner", {})
+    exporting.export(lab, tmp_path / "site", 1, ["maze-corner"], {"heist": "near-small"})
+    there = json.loads((tmp_path / "site" / "data" / "index.json").read_text())["games"]
+    assert [*there["heist"]["variants"]] == ["hard", "near", "near-small"]

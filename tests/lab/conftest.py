@@ -16,7 +16,7 @@ from helpers.browsed import folder_served, opened
 def exported(tmp_path_factory):
     """The folder of a lab without Python, with few levels."""
     folder = tmp_path_factory.mktemp("lab") / "site"
-    export(make_lab("maze-corner", {}), folder, levels=8, games=["pottery"])
+    export(make_lab("maze-corner", {}), folder, levels=8, games={"pottery": "corner"})
     return folder
 
 

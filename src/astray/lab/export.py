@@ -46,18 +46,19 @@ def export(
     folder: Path,
     levels: int = 50,
     agents: list[str] | None = None,
-    games: Sequence[str] = (),
+    games: Mapping[str, str] | None = None,
 ) -> None:
     """Write the lab to `folder`, which must be new or empty.
 
     Args:
         levels: Number of levels of each variant, from number 0 on.
         agents: Names of agents; None for the lab's first one and all pretrained ones.
-        games: Names of further games, to be played without an agent.
+        games: Names of further games, to be played without an agent, each with a variant that is
+            exported, too.
 
     Raises:
         FileExistsError: If the folder is not empty; nothing of the user's is removed.
-        ValueError: If a game or an agent needs Python.
+        ValueError: If a game or an agent needs Python, or a variant does not exist.
     """
     of_kind("lab", lab, Lab)
     folder = Path(folder)
@@ -66,16 +67,17 @@ def export(
     if is_there and (folder.is_symlink() or not folder.is_dir() or any(folder.iterdir())):
         raise FileExistsError(f"{folder} must be new, or an empty folder; there is something in it")
     chosen = agents if agents is not None else _chosen(lab)
-    _check_exportable(lab, chosen, games)
+    further = games or {}
+    _check_exportable(lab, chosen, further)
     with folder_aside(folder) as aside:
         _write_page(aside)
-        _write_data(lab, aside / "data", levels, chosen, games)
+        _write_data(lab, aside / "data", levels, chosen, further)
         if is_there:
             folder.rmdir()
         aside.rename(folder)
 
 
-def _check_exportable(lab: Lab, agents: Sequence[str], further: Sequence[str]) -> None:
+def _check_exportable(lab: Lab, agents: Sequence[str], further: Mapping[str, str]) -> None:
     """Raise ValueError where the page could not play a game or show an agent without Python."""
     opened = {name: lab.agents.open(name) for name in agents}
     for game in dict.fromkeys(
@@ -87,6 +89,8 @@ def _check_exportable(lab: Lab, agents: Sequence[str], further: Sequence[str]) -
                 f"{game} must be a world of `astray.grid` to be exported, or one of {drawn}: "
                 "without Python, a page plays no other; astray lab without --export shows any"
             )
+    for game, variant in further.items():
+        games.find(game).variant(variant)
     for name, (agent, config) in opened.items():
         if agent.architecture.name != COMPUTED and config.find_game().real_time:
             raise ValueError(
@@ -117,7 +121,7 @@ def _write_page(folder: Path) -> None:
 
 
 def _write_data(
-    lab: Lab, folder: Path, levels: int, agents: list[str], further: Sequence[str]
+    lab: Lab, folder: Path, levels: int, agents: list[str], further: Mapping[str, str]
 ) -> None:
     called = file_names(agents)
     about = {called[name]: lab.agents.about(name) for name in agents}
@@ -125,7 +129,7 @@ def _write_data(
     found: dict[str, Any] = {}
     for game in sorted(map(games.find, played), key=lambda game: game.name):
         _write(folder / "art" / f"{game.name}.json", {"pictures": drawings(game)})
-        variants = _variants(lab, game, about)
+        variants = _variants(lab, game, about, further.get(game.name))
         told = about_game(game)
         names = {"variants", "knobs"}
         if grid.world_of(game):
@@ -169,12 +173,12 @@ def file_names(agents: Sequence[str]) -> dict[str, str]:
     return called
 
 
-def _variants(lab: Lab, game: Game, about: Mapping[str, Any]) -> list[str]:
-    """Return the variants to export: those of the agents' shifts, and the first one.
+def _variants(lab: Lab, game: Game, about: Mapping[str, Any], named: str | None) -> list[str]:
+    """Return the variants to export: those of the agents' shifts, the first one, and `named`.
 
     A game without an agent has those of its first shift.
     """
-    wanted = {lab.start["variant"]} if lab.start["game"] == game.name else set()
+    wanted = {named, lab.start["variant"] if lab.start["game"] == game.name else None}
     if all(told["game"] != game.name for told in about.values()):
         wanted |= {
             name for shift in [*game.shifts.values()][:1] for name in (shift.train, shift.test)
