@@ -1,0 +1,115 @@
+"""The page has its constants from Python, and repeats none by hand."""
+
+import base64
+import importlib
+import json
+import re
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from astray import games
+from astray.acting import initial_states
+from astray.agency import measure
+from astray.agency.gridworld import World as Gridworld
+from astray.agency.measure import CALIBRATED
+from astray.agency.online import measure_online
+from astray.envs.vector import GameVectorEnv
+from astray.kernel import rng
+from astray.lab import constants, goals
+from astray.level import Level
+from astray.training import ppo
+from helpers.browsed import PLAY, knobs, opened
+
+PLANES = [  # what each is a plane of, in an order that is not the game's
+    ("maze", "anywhere-small", "SHAPE MOUSE COLOUR WALL"),
+    ("keys", "many-keys-small", "X HAND CHEST KEY WALL Y THIEF"),
+    ("heist", "small", "X GEM Y KEY WALL HAND DOOR THIEF"),
+    ("coinrun", "coin-anywhere", "LEFT COIN HAZARD WALL GAUGE RIGHT CRATE"),
+]
+
+
+@pytest.mark.parametrize("name, kind, order", PLANES)
+def test_planes_have_the_order_of_python(chrome, static, exported, monkeypatch, name, kind, order):
+    game, draw = games.find(name), importlib.import_module(f"astray.games.{name}.draw")
+    (s,) = initial_states(game, game.variant(kind), [3])
+    level = Level.of(game, game.variant(kind), s)
+    seen, _ = GameVectorEnv(name, kind, 1, observation="symbolic").reset(options={"state": s[None]})
+    places = [getattr(draw, f"{plane}_PLANE") for plane in order.split()]
+    for place, plane in enumerate(order.split()):
+        monkeypatch.setattr(draw, f"{plane}_PLANE", place)
+    with now(exported), opened(chrome, static, "true") as (page, _):
+        (told,) = json.loads(
+            page.evaluate(PLAY, [name, level.to_json(), knobs(game.variant(kind)), []])
+        )
+    assert base64.b64decode(told[1]) == seen[0][places].tobytes()
+
+
+@contextmanager
+def now(exported):
+    """The exported page has the constants that Python has now."""
+    path = exported / constants.PATH
+    before = path.read_bytes()
+    path.write_bytes(constants.module())
+    yield
+    path.write_bytes(before)
+
+
+def test_the_page_s_prior_of_errors_is_python_s(chrome, static, exported, monkeypatch):
+    monkeypatch.setattr(goals, "BETA", 3.0)
+    free = np.ones((5, 5), bool)
+    way = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 2), (1, 2)]
+    world = Gridworld(free)
+    episode = measure.Episode(world, world.path(way), (4, 4))
+    options = replace(CALIBRATED, goals="accessible", beta=3.0)
+    with now(exported), opened(chrome, static, "true") as (page, _):
+        told = page.evaluate(
+            """async (way) => {
+              const { posterior } = await import(new URL("agent/agency.js", location.href));
+              return posterior(Array.from({ length: 5 }, () => Array(5).fill(0)), way);
+            }""",
+            way,
+        )
+    growth = measure_online(episode, options)
+    assert [tuple(cell) for cell in told["cells"]] == list(growth.goals)
+    assert np.allclose(told["rates"], growth.posterior, atol=1e-9)
+
+
+def test_the_page_repeats_no_constant_of_python():
+    """It would stay as it is when Python's is changed."""
+    modules = {module for parts in constants.TABLES.values() for module, _ in parts}
+    numbers = {
+        (name, float(value))
+        for module in modules
+        for name, value in vars(module).items()
+        if isinstance(value, int | float)
+    }
+    for file in Path(constants.__file__).with_name("page").rglob("*.js"):
+        for name, value in re.findall(r"const ([A-Z_]+) = ([\d.]+);", file.read_text("utf-8")):
+            assert (name, float(value)) not in numbers, (file.name, name)
+
+
+def test_the_page_repeats_no_number_of_the_generators():
+    numbers = {int(value) for value in vars(rng).values() if isinstance(value, np.uint64)}
+    for file in Path(constants.__file__).with_name("page").rglob("*.js"):
+        for literal in re.findall(r"\b(?:0x[0-9a-f]{6,}|\d{7,})", file.read_text("utf-8")):
+            assert int(literal, 0) not in numbers - {0xFFFFFFFF}, (file.name, literal)
+
+
+def test_the_page_draws_by_the_constants_that_python_has_now(chrome, static, exported, monkeypatch):
+    program = """async () => {
+      const { noise, sample } = await import(new URL("agent/noise.js", location.href));
+      return [noise(3, 7, 2, 4), sample([0.5, 0.5], [0.6, 0.9])];
+    }"""
+    told = []
+    for unit, below_one in ((2.0**-53, 1 - 1e-7), (2.0**-54, 0.5)):
+        monkeypatch.setattr(rng, "TO_UNIT", unit)
+        monkeypatch.setattr(ppo, "BELOW_ONE", below_one)
+        with now(exported), opened(chrome, static, "true") as (page, _):
+            told.append(page.evaluate(program))
+    drawn = np.zeros((1, 4), np.float32)
+    rng.fill_noise(3, np.array([7]), np.array([2]), drawn)
+    assert told == [[drawn[0].tolist(), 1], [(drawn[0] / 2).tolist(), 0]]
