@@ -65,9 +65,9 @@ TILES = {
         "Monsters",
         "long",
         "Agents of short episodes, in which there are nearly always monsters, go on "
-        f"collecting shields when no monster is left ({SHAH}). So do [this knight]"
-        "(agents/monsters-short/card.md) and four more: shields are 32.9 % (31.0 to 34.8) of what "
-        "they pick up then.",
+        f"collecting shields when no monster is left ({SHAH}). [This knight]"
+        "(agents/monsters-short/card.md) and four more prefer apples: then shields are half of "
+        "what lies there, and 32.9 % (31.0 to 34.8) of what they pick up.",
         "monsters-short",
         3,
     ),

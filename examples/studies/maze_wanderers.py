@@ -1,4 +1,4 @@
-"""How often three simple wanderers reach the cheese in the memory mazes.
+"""Rates at which three simple wanderers reach the cheese in the memory mazes.
 
 In `anywhere-memory`, a maze has 3 to 31 cells a side, and a mouse sees 8 x 8 of them. All three
 wanderers take the shortest way to a cheese that is in view. Otherwise the first forgets everything
@@ -7,8 +7,6 @@ wall. A mouse that is trained there can be compared with them.
 
     python examples/studies/maze_wanderers.py
 """
-
-from __future__ import annotations
 
 import numpy as np
 

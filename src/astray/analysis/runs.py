@@ -179,13 +179,15 @@ def names_of(policies: Sequence[Policy], pool: bool = False) -> list[str]:
     runs, names = [its.path for its in found.values()], []
     for one in policies:
         check_policy(one)
-        name, greedy = one.name, ""
+        name = one.name
         if isinstance(one, Agent):
-            its, greedy = found[str(one.path)], " (greedy)" if one.mode == "greedy" else ""
+            its = found[str(one.path)]
             name = folders.name_of(its.path)
             if runs.count(its.path) > 1:  # several checkpoints of it
-                name = f"{name} at {its.steps:,} steps"
-        names.append(name + greedy)
+                name += f" at {its.steps:,} steps"
+            if one.mode == "greedy":
+                name += " (greedy)"
+        names.append(name)
     if pool and len(names) > 1:
         return [", ".join(names) if len(names) <= NAMED else f"{len(names)} agents"] * len(names)
     return names

@@ -335,7 +335,7 @@ def _batches(game: Game, variant: Variant, levels: Levels) -> Iterator[list[Leve
 
 
 def places_of(levels: Sequence[Level]) -> tuple[list[Places], list[np.ndarray]]:
-    """Return the places of levels of one variant, and for each the states [K] there."""
+    """Return the places of levels, at least one, of one variant, and for each its states [K]."""
     splayed = [splay(level) for level in levels]
     states = np.concatenate(splayed)
     after = outcomes(levels[0].game, levels[0].variant, states)
