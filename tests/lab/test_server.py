@@ -33,6 +33,12 @@ def served():
         yield address
 
 
+def run(coroutine):
+    """The result of a coroutine, run in a thread: a browser's tests keep a loop in this one."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(asyncio.run, coroutine).result()
+
+
 def fetched(address, path="", host=None):
     request = urllib.request.Request(address + path, headers={"Host": host} if host else {})
     try:
@@ -75,8 +81,7 @@ def test_text_that_is_no_utf8_ends_the_page_and_is_logged_in_a_line(served):
     logger, kept = logging.getLogger("uvicorn.error"), Kept()
     logger.addHandler(kept)
     try:
-        with ThreadPoolExecutor(1) as thread:
-            thread.submit(asyncio.run, spoilt()).result()
+        run(spoilt())
     finally:
         logger.removeHandler(kept)
     assert all(record.exc_info is None for record in records)
@@ -103,7 +108,7 @@ class Leaving:
 
 def test_a_page_that_leaves_amid_an_answer_ends_its_conversation():
     lab = make_lab("maze-corner", {})
-    asyncio.run(asyncio.wait_for(Conversation(Leaving(), Session(lab), lab).hold(), 60))
+    run(asyncio.wait_for(Conversation(Leaving(), Session(lab), lab).hold(), 60))
 
 
 def test_the_address_is_told_when_somebody_listens_there(monkeypatch):
@@ -131,12 +136,6 @@ def test_another_name_for_this_machine_is_refused(served):
     assert fetched(served, host="evil.example:80")[0] == 404
 
 
-def ask(*words, **options):
-    """What `asked` gives, from a thread of its own: a browser's tests keep a loop in this one."""
-    with ThreadPoolExecutor(1) as thread:
-        return thread.submit(asyncio.run, asked(*words, **options)).result()
-
-
 async def asked(address, *messages, origin=...):
     """The answers over a socket, as a page of that origin gets them."""
     parts = urlsplit(address)
@@ -153,17 +152,17 @@ async def asked(address, *messages, origin=...):
 @pytest.mark.parametrize("origin", ["http://evil.example", None, "null"])
 def test_pages_of_other_sites_are_refused(served, origin):
     with pytest.raises(InvalidStatus):
-        ask(served, '{"id": 1, "kind": "hello"}', origin=origin)
+        run(asked(served, '{"id": 1, "kind": "hello"}', origin=origin))
 
 
 def test_a_question_is_answered(served):
-    (answer,) = ask(served, '{"id": 1, "kind": "hello"}')
+    (answer,) = run(asked(served, '{"id": 1, "kind": "hello"}'))
     assert "maze" in answer["games"]
 
 
 def test_junk_is_answered_with_what_is_wrong_and_the_socket_stays(served):
     junk = ["", "{", "[]", "null", '{"id": 9}', "\x00" * 10]
-    answers = ask(served, *junk, '{"id": 3, "kind": "art", "game": "maze"}')
+    answers = run(asked(served, *junk, '{"id": 3, "kind": "art", "game": "maze"}'))
     assert all("error" in answer for answer in answers[:-1]) and "mouse" in answers[-1]["pictures"]
 
 
@@ -173,11 +172,11 @@ def test_a_mistake_of_the_lab_itself_ends_the_answer_to_its_question_alone(serve
 
     monkeypatch.setattr(session, "ANSWERS", {**session.ANSWERS, "level": fails})
     words = {"game": "maze", "variant": "corner-small"}
-    first, second = ask(
-        served,
-        json.dumps({"id": 41, "kind": "level", "level": 3, **words}),
-        json.dumps({"id": 42, "kind": "art", **words}),
-    )
+    questions = [
+        {"id": 41, "kind": "level", "level": 3, **words},
+        {"id": 42, "kind": "art", **words},
+    ]
+    first, second = run(asked(served, *map(json.dumps, questions)))
     assert first["id"] == 41 and "the lab itself failed: ZeroDivision" in first["error"]
     assert second["id"] == 42 and "mouse" in second["pictures"]
 
@@ -191,7 +190,7 @@ def test_of_many_like_questions_the_last_is_answered(served):
         "agent": "maze-corner",
     }
     many = [json.dumps(question | {"id": k, "level": k}) for k in range(40)]
-    answers = ask(served, *many)
+    answers = run(asked(served, *many))
     last = [answer for answer in answers if answer["id"] == 39]
     assert last[-1]["done"] and last[-1]["cells"]
     assert all("error" not in answer for answer in answers)
