@@ -25,7 +25,7 @@ ABOUT = {"game": "coinrun", "variant": "coin-end", "validation": "coin-anywhere"
 LARGE = replace(PRESETS["paper"], **ABOUT, device="cuda")
 AGENTS: Mapping[Size, Config] = {
     "smoke": replace(
-        PRESETS["small"], **ABOUT, width=128, gamma=0.99, entropy_weight=0.01, steps=10_000_000
+        PRESETS["small"], **ABOUT, num_steps=128, gamma=0.999, entropy_weight=0.01, steps=10_000_000
     ),
     "pixels": replace(
         PRESETS["pixels"],

@@ -267,7 +267,7 @@ EXPERIMENT = Experiment(
     reproduces="Figure 8",
     question="What in view does the critic's value depend on: the coin, the end wall, hazards?",
     sizes={
-        "smoke": _agents.plan("smoke", 2, 100, visited=TESTS),
+        "smoke": _agents.plan("smoke", 10, 100, first_seed=20, visited=TESTS),
         "pixels": _agents.plan("pixels", 3, 100, visited=TESTS),
         "hour": _agents.plan("hour", 1, 200, visited=TESTS),
         "paper": _agents.plan("paper", 3, 500, visited=TESTS),

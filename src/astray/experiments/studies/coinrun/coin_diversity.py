@@ -224,7 +224,14 @@ def unmet(work: Work) -> str:
     return "; ".join(told) + ". Others are in a training under another number, as short ones often."
 
 
-def plan(size: Size, fractions: tuple[int, ...], seeds: int, levels: int, differences: str) -> Plan:
+def plan(
+    size: Size,
+    fractions: tuple[int, ...],
+    seeds: int,
+    levels: int,
+    differences: str,
+    first_seed: int = 0,
+) -> Plan:
     """Return a plan with agents for each fraction of random coins; 0 is shared by all studies."""
     agent = _agents.AGENTS[size]
     agents = {
@@ -236,6 +243,7 @@ def plan(size: Size, fractions: tuple[int, ...], seeds: int, levels: int, differ
     return Plan(
         agents=agents,
         seeds=seeds,
+        first_seed=first_seed,
         tests=TESTS,
         levels=levels,
         differences=differences,
@@ -251,10 +259,11 @@ EXPERIMENT = Experiment(
     sizes={
         "smoke": plan(
             "smoke",
-            (0, 2, 6, 20),
-            2,
+            (0, 2, 20),
+            5,
             500,
-            f"four of the eight fractions; {_agents.DIFFERENCES['smoke']}",
+            f"three of the eight fractions; {_agents.DIFFERENCES['smoke']}",
+            first_seed=20,
         ),
         "pixels": plan(
             "pixels",

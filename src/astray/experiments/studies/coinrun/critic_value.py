@@ -243,7 +243,7 @@ EXPERIMENT = Experiment(
     reproduces="Figure 6",
     question="Does the critic value the coin, or the end of the level, where the coin always was?",
     sizes={
-        "smoke": _agents.plan("smoke", 10, 300, first_seed=10, visited=TESTS),
+        "smoke": _agents.plan("smoke", 10, 300, first_seed=20, visited=TESTS),
         "pixels": _agents.plan("pixels", 3, 300, visited=TESTS),
         "night": _agents.plan("night", 2, 300, visited=TESTS),
         "hour": _agents.plan("hour", 1, 500, visited=TESTS),

@@ -281,7 +281,7 @@ EXPERIMENT = Experiment(
     reproduces="the question of Figure 2",
     question="Is a coin taken because it is seen, or because it lies where the runner comes by?",
     sizes={
-        "smoke": _agents.plan("smoke", 10, 1000, first_seed=10, visited=TESTS),
+        "smoke": _agents.plan("smoke", 10, 1000, first_seed=20, visited=TESTS),
         "pixels": _agents.plan("pixels", 3, 1000, visited=TESTS),
         "night": _agents.plan("night", 2, 1000, visited=TESTS),
         "hour": _agents.plan("hour", 1, 1000, visited=TESTS),

@@ -286,7 +286,7 @@ EXPERIMENT = Experiment(
     question="Do actor and critic pursue the same? A wall that lets pass tells moving right from "
     "moving to the wall.",
     sizes={
-        "smoke": _agents.plan("smoke", 2, 200, **PLAYED),
+        "smoke": _agents.plan("smoke", 10, 200, first_seed=20, **PLAYED),
         "pixels": _agents.plan("pixels", 3, 200, **PLAYED),
         "night": _agents.plan("night", 2, 200, **PLAYED),
         "hour": _agents.plan("hour", 1, 300, **PLAYED),
