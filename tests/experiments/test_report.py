@@ -279,7 +279,15 @@ def test_outcomes_stand_side_by_side_with_their_intervals():
         f"{INTENDED}, %": (True, cells),
         f"{FAILED}, %": (True, cells),
     }
-    assert note == "In brackets: 95 % intervals. levels: 500."
+    assert note == "95\u00a0% intervals are in brackets. In every row: 500 levels."
+
+
+def test_what_all_rows_share_is_in_a_sentence_and_a_finding_stays_in_the_table():
+    shared = {"test": "in training", "seeds": 3, "levels": 1, "size": 25, "beta": 0.5}
+    table = pl.DataFrame([shared | {"differ": True, "who": who} for who in "ab"])
+    shown, note = report.laid_out(table)
+    assert shown == {"differ": (False, ["yes"] * 2), "who": (False, ["a", "b"])}
+    assert note == "In every row: test “in training”, 3 seeds, levels 1, size 25, beta 0.500."
 
 
 def test_a_table_without_outcomes_keeps_its_rows():

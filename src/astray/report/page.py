@@ -186,7 +186,8 @@ def laid_out(frame: pl.DataFrame) -> tuple[dict[str, tuple[bool, list[str]]], st
     """Return a table as it is shown, and a note on it.
 
     Intervals are next to their means, and outcomes side by side in percent. Constant columns are in
-    the note. Empty columns, and those that intervals were computed from, are left out.
+    the note, except yes and no, which are findings. Empty columns, and those that intervals were
+    computed from, are left out.
 
     Returns:
         For each column its heading, whether it is numeric, and its cells as text.
@@ -197,17 +198,27 @@ def laid_out(frame: pl.DataFrame) -> tuple[dict[str, tuple[bool, list[str]]], st
     for name, ends in means.items():
         frame = frame.with_columns(_with_interval(frame, name, ends)).drop(*ends)
     frame = _side_by_side(frame.drop(UNTOLD, strict=False))
-    shown, notes = {}, ["In brackets: 95 % intervals."] * bool(means)
+    shown, same = {}, []
     for column in frame.iter_columns():
         name, text = column.name.replace("_", " "), cells(column)
         measured = column.name in means or name.endswith(", %")
         if {*text} == {NOTHING}:
             continue
-        if len(text) > 1 and len({*text}) == 1 and not measured:
-            notes.append(f"{name}: {text[0]}.")
+        found = measured or column.dtype == pl.Boolean
+        if len(text) > 1 and len({*text}) == 1 and not found:
+            same.append(_said(name, text[0], column.dtype))
         else:
             shown[name] = measured or column.dtype.is_numeric(), text
+    notes = ["95\u00a0% intervals are in brackets."] * bool(means)
+    notes += [f"In every row: {', '.join(same)}."] * bool(same)
     return shown, " ".join(notes)
+
+
+def _said(name: str, value: str, kind: pl.DataType) -> str:
+    """Return a column's one value in words, as "97 levels", "size 25" or "test “training”"."""
+    if kind.is_integer() and value != "1" and name.endswith("s"):
+        return f"{value} {name}"
+    return f"{name} {value}" if kind.is_numeric() else f"{name} “{value}”"
 
 
 def _means(frame: pl.DataFrame) -> Iterator[tuple[str, tuple[str, str]]]:
