@@ -1,5 +1,6 @@
 """The site of the documentation: its theme, its styles and the hook of links, on some pages."""
 
+import re
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -50,6 +51,12 @@ def site(tmp_path_factory):
                 config.plugins._register_event(event, hook)
         build(config)
     return folder / "site"
+
+
+def test_the_page_for_what_is_not_there_leads_back(site):
+    (said,) = re.findall("<article.*?</article>", (site / "404.html").read_text(), re.DOTALL)
+    (way,) = re.findall('<a href="/(.*?)">', said)
+    assert (site / way) == site / "index.html"
 
 
 @pytest.mark.parametrize(
