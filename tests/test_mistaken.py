@@ -252,11 +252,12 @@ def test_no_level_of_a_folder_is_lost_to_another_of_its_name(tmp_path):
         read_levels(tmp_path, MAZE, SMALL)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16-le", "utf-16-be"])
 @pytest.mark.parametrize("name", ["level.txt", "level.json"])
-def test_a_byte_order_mark_is_no_part_of_a_level(name, tmp_path):
+def test_a_byte_order_mark_is_no_part_of_a_level(name, encoding, tmp_path):
     level = drawn()
     text = str(level) if name == "level.txt" else json.dumps(level.to_json())
-    (tmp_path / name).write_text("\ufeff" + text, encoding="utf-8")
+    (tmp_path / name).write_text("\ufeff" + text, encoding=encoding)
     (found,) = read_levels(tmp_path / name, MAZE, SMALL).values()
     assert str(found) == str(level) == str(Level.from_text(MAZE, SMALL, f"\ufeff{level}"))
 

@@ -1,5 +1,6 @@
 """Levels in files, as drawings or JSON."""
 
+import codecs
 import itertools
 import json
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 from astray.files import read
 from astray.game import Game, Variant
-from astray.level import BYTE_ORDER_MARK, Level
+from astray.level import Level
 
 COMMENT = ";"  # prefix of comment lines in drawings
 LARGEST_FILE = 2**26  # bytes; a level as JSON has about 2,000
@@ -28,12 +29,9 @@ def read_levels(
     if path.is_dir():
         return _read_folder(path, game, variant, solvable)
     try:
-        text = (
-            read(path, LARGEST_FILE)
-            .decode("utf-8")
-            .replace("\r\n", "\n")
-            .removeprefix(BYTE_ORDER_MARK)
-        )
+        data = read(path, LARGEST_FILE)
+        wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # Windows PowerShell's >
+        text = data.decode("utf-16" if wide else "utf-8-sig").replace("\r\n", "\n")
         if path.suffix in (".json", ".jsonl"):
             found = [Level.from_json(game, variant, value) for value in _json_values(text)]
         else:
