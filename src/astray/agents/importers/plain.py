@@ -56,7 +56,8 @@ def read(data: bytes, storage: Callable[[str], bytes] | None = None) -> Any:
         for instruction, argument, _ in pickletools.genops(machine.file):
             machine.spend(1)
             if instruction.name == "STOP":
-                return _only(machine.stack)
+                (value,) = machine.stack
+                return value
             machine.do(instruction.name, argument)
     except Refused:
         raise
@@ -186,11 +187,6 @@ class _Machine:
         if description["order"] == "F":
             return flat.reshape(shape[::-1]).T
         return flat.reshape(shape)
-
-
-def _only(stack: list[Any]) -> Any:
-    (value,) = stack
-    return value
 
 
 def _stack_global(m: _Machine) -> None:

@@ -113,7 +113,7 @@ def read(data: bytes) -> Imported:
         programs = " or ".join(one.program for one in PROGRAMS)
         raise ValueError(f"it is not an IMPALA network of {programs}: its weights are {there}, ...")
     check_actions(tensors[names.heads[1]])
-    renamed = {_rename(name, names): tensor for name, tensor in tensors.items()}
+    renamed = {rllte.rename(name, names.renamed): tensor for name, tensor in tensors.items()}
     if len(renamed) < len(tensors):
         raise ValueError("it has two weights of the same layer, under two names")
     convolutions = [renamed.get(f"block{k}.conv.weight") for k in (1, 2, 3)]
@@ -215,9 +215,3 @@ def _tensors(found: Any, size: int) -> dict[str, Tensor]:
     if sum(t.numel() * t.element_size() for t in tensors.values()) > size:
         raise ValueError("its weights are more than the file holds")
     return tensors
-
-
-def _rename(name: str, names: Names) -> str:
-    for there, here in names.renamed:
-        name = re.sub(there, here, name)
-    return name

@@ -11,7 +11,7 @@ import io
 import re
 import struct
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -72,7 +72,7 @@ def read(data: bytes) -> Imported:
         ValueError: If the bytes are damaged or hold another network.
     """
     root = _root(data)
-    tensors = {_renamed(name): torch.from_numpy(t.copy()) for name, t in _parameters(root)}
+    tensors = {rename(name, NAMES): torch.from_numpy(t.copy()) for name, t in _parameters(root)}
     if "policy.bias" not in tensors:
         raise ValueError("it has no actor of one layer, as agents of images have")
     check_actions(tensors["policy.bias"])
@@ -123,7 +123,8 @@ def _dict(state: dict[Any, Any], name: str) -> dict[Any, Any]:
     return found
 
 
-def _renamed(name: str) -> str:
-    for there, here in NAMES:
+def rename(name: str, names: Iterable[tuple[Any, Any]]) -> str:
+    """Return a name after each replacement of a pattern, (pattern, replacement) in `names`."""
+    for there, here in names:
         name = re.sub(there, here, name)
     return name
