@@ -130,14 +130,14 @@ for name in ("Config", "evaluate", "reproduce", "train"):
 def test_what_needs_more_than_environments_says_which_extra():
     said = without_extras(NEEDS_MORE).stdout.splitlines()
     for name, line in zip(("Config", "evaluate", "reproduce", "train"), said, strict=True):
-        needs = rf"astray.{name} needs \w+: pip install '.\[train\]' in a clone of astray"
+        needs = rf'astray.{name} needs \w+: pip install ".\[train\]" in a clone of astray'
         assert re.fullmatch(needs, line)
 
 
 def test_the_command_says_which_extra_it_needs():
     done = without_extras("from astray import cli; cli.main()")
     assert done.stderr.splitlines() == [
-        "astray: the command astray needs tyro: pip install '.[train]' in a clone of astray"
+        'astray: the command astray needs tyro: pip install ".[train]" in a clone of astray'
     ]
 
 

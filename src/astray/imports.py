@@ -111,7 +111,7 @@ def missing(need: str, extra: str) -> ImportError:
 
     It names no package index: astray is on none, so its name there could belong to anybody.
     """
-    return ImportError(f"{need}: pip install '.[{extra}]' in a clone of astray")
+    return ImportError(f'{need}: pip install ".[{extra}]" in a clone of astray')
 
 
 def needed_by(thing: str, error: ModuleNotFoundError) -> ImportError:

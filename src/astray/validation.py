@@ -2,7 +2,9 @@
 
 import itertools
 import math
+import re
 import reprlib
+import shlex
 import sys
 import typing
 import warnings
@@ -172,3 +174,17 @@ def brief(error: object) -> str:
     """Return an error, or other text of a stranger, cut off because it may be long."""
     text = str(error)
     return text if len(text) <= 300 else f"{text[:297]}..."
+
+
+def command_of(*words: str) -> str:
+    """Return a command line that bash, cmd and PowerShell read alike, as far as words allow it.
+
+    Words are in double quotes where need be, since cmd takes single ones for letters.
+    """
+    plain, quotable = r"[\w%+=:./-][\w@%+=:,./-]*", r'([^"$`!\\\n]|\\(?!\\|$))*'
+    return " ".join(
+        word if re.fullmatch(plain, word, re.ASCII)
+        else f'"{word}"' if re.fullmatch(quotable, word)
+        else shlex.quote(word)
+        for word in words
+    )  # fmt: skip

@@ -5,6 +5,7 @@ import inspect
 import re
 import shlex
 import sys
+from pathlib import Path
 
 import pytest
 import tyro
@@ -13,7 +14,12 @@ from astray.cli import guess, settings, verbs
 from astray.cli.arguments import pairs
 from astray.experiments.sweep.settings import axes, changed
 from astray.training.config import PRESETS
+from astray.validation import command_of
 from helpers.flat import options
+
+ROOT = Path(__file__).parents[2]
+CARDS = ROOT.glob("src/astray/agents/pretrained/**/README.md")
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *CARDS])
 
 
 def silent(verb):
@@ -164,3 +170,24 @@ def test_help_begins_with_the_verbs_sentence_and_wraps_those_of_options(verb, ca
     assert told.splitlines()[0] in said and re.search("Example: astray", said)
     for sentence in re.findall(r"^    \w+: (.*(?:\n {8}.*)*)", told, re.MULTILINE):
         assert re.sub(r"\s+", " ", sentence).rstrip(".") in said
+
+
+@pytest.mark.parametrize("words, line", [
+    (["astray", "lab", "runs/mice/seed-0", "--bins=9"], "astray lab runs/mice/seed-0 --bins=9"),
+    (["my mice", "it's", "", "@a"], """"my mice" "it's" "" "@a\""""),
+    (["runs\\mice", "C:\\my mice\\a"], '"runs\\mice" "C:\\my mice\\a"'),
+    (["a$b", "\\\\host\\a b", "a b\\"], "'a$b' '\\\\host\\a b' 'a b\\'"),
+])  # fmt: skip
+def test_a_command_is_quoted_as_every_shell_reads_it(words, line):
+    assert command_of(*words) == line
+    assert shlex.split(line) == words
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_commands_of_pages_can_be_pasted_into_any_shell(page):
+    """cmd takes single quotes for letters, and a comment for arguments, as zsh does."""
+    text = page.read_text("utf-8")
+    blocks = re.findall(r"^```bash\n(?!#!)(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    lines = [line for block in blocks for line in block.splitlines()]
+    lines += re.findall(r"`((?:astray|pip|python) [^`]*)`", text)
+    assert not [line for line in lines if re.search(r"['$]|#|\\$", line)]

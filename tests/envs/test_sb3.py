@@ -43,4 +43,4 @@ def test_without_the_library_the_error_says_what_to_install():
     program = "import sys; sys.modules['stable_baselines3'] = None; import astray.envs.sb3"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     error = done.stderr.splitlines()[-1]
-    assert "astray.envs.sb3 needs stable_baselines3: pip install '.[sb3]' in a clone" in error
+    assert 'astray.envs.sb3 needs stable_baselines3: pip install ".[sb3]" in a clone' in error

@@ -88,7 +88,7 @@ def test_a_ruined_report_that_results_stand_beside_is_told_before_the_work(tmp_p
 
 
 def test_a_package_that_findings_need_is_missed_before_training(tmp_path):
-    with pytest.raises(ImportError, match=r"'Early' needs no_such: pip install '.\[insight\]"):
+    with pytest.raises(ImportError, match=r"Early. needs no_such: pip install .\.\[insight\]"):
         run.reproduce(experiment(plan(), needs={"no_such": "insight"}), "smoke", tmp_path)
     assert not list(tmp_path.iterdir())
 

@@ -58,5 +58,5 @@ def test_a_successor_waits_for_the_process_before_it(tmp_path, monkeypatch):
 
 @pytest.mark.skipif(RAY, reason="ray is installed")
 def test_it_is_told_what_a_cluster_needs(tmp_path):
-    with pytest.raises(ImportError, match=r"pip install '.\[cluster\]'"):
+    with pytest.raises(ImportError, match=r'pip install ".\[cluster\]"'):
         train_all({tmp_path: CONFIG}, on="ray")

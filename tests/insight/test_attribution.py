@@ -256,5 +256,5 @@ def test_gradients_of_a_network_of_ones_own_are_refused(planes):
 
 def test_without_captum_the_extra_is_named(planes, monkeypatch):
     monkeypatch.setitem(sys.modules, "captum.attr", None)
-    with pytest.raises(ImportError, match=r"pip install '.\[insight\]'"):
+    with pytest.raises(ImportError, match=r'pip install ".\[insight\]"'):
         attribution.gradients(planes, shown_to(planes))

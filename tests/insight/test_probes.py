@@ -146,7 +146,7 @@ def test_a_reading_stands_beside_the_truth(mouse, states):
 
 def test_without_scikit_learn_it_is_told_what_to_install(mouse, states, monkeypatch):
     monkeypatch.setitem(sys.modules, "sklearn", None)
-    with pytest.raises(ImportError, match=r"pip install '.\[insight\]'"):
+    with pytest.raises(ImportError, match=r'pip install ".\[insight\]"'):
         probes.probe(mouse, SMALL, states, ["features.relu1"], MAZE.labels)
 
 

@@ -87,7 +87,7 @@ def test_a_run_that_goes_on_is_the_same_run_to_its_tracker(tmp_path):
 @pytest.mark.parametrize("by", ["wandb", "trackio"])
 def test_a_tracker_that_is_missing_is_told(by, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, by, None)
-    with pytest.raises(ImportError, match=rf"{by} is not installed: pip install '.\[track\]'"):
+    with pytest.raises(ImportError, match=rf'{by} is not installed: pip install ".\[track\]"'):
         track.Tracker(by, "name", tmp_path, {})
 
 

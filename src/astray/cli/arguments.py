@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -19,7 +18,7 @@ from astray.level import Level
 from astray.level_files import read_levels
 from astray.record import LEVELS
 from astray.training.settings import KNOB, otherwise
-from astray.validation import bounded, of_kind, one_of
+from astray.validation import bounded, command_of, of_kind, one_of
 from astray.world import World
 
 if TYPE_CHECKING:
@@ -245,8 +244,8 @@ class TestedPlayer:
     def words(self) -> str:
         """The agent or the policy, as given on the command line."""
         if self.agent:
-            return shlex.quote(str(self.agent))
-        return f"--policy {shlex.quote(str(self.policy.policy))} --game {self.policy.game}"
+            return command_of(str(self.agent))
+        return command_of("--policy", str(self.policy.policy), "--game", str(self.policy.game))
 
     def open(self) -> tuple[Policy, Any, str, Any, str, Config | None]:
         """Return policy, game or world, the variant's name, the variant, shift and settings.

@@ -1,6 +1,5 @@
 """The verb that audits one agent."""
 
-import shlex
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,6 +9,7 @@ from tyro.conf import Positional, arg
 from astray import imports
 from astray.cli.arguments import AN_AGENT, NOBODY, Acting, Knobs, OwnPolicy, Rewards, Shift, pairs
 from astray.training.settings import otherwise
+from astray.validation import command_of
 
 
 def audit(
@@ -38,7 +38,7 @@ def audit(
     """
     from astray.experiments.audit import audit as write
 
-    command = shlex.join(["astray", *sys.argv[1:]])
+    command = command_of("astray", *sys.argv[1:])
     how: dict[str, Any] = {"ghost": ghost, "levels": levels, "knobs": pairs(knobs)}
     how |= {"rewards": imports.find_each(rewards), "folder": folder, "command": command}
     if policy.policy is None:

@@ -1,6 +1,5 @@
 """The verb that compares agents."""
 
-import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +10,7 @@ from astray.cli.arguments import NUMBERS, Longest, OwnPolicy, Tested, level_numb
 from astray.files import check_writable
 from astray.training.folders import names
 from astray.training.settings import otherwise
-from astray.validation import one_of
+from astray.validation import command_of, one_of
 from astray.world import register
 
 SOME = 1000  # levels, by default
@@ -87,7 +86,7 @@ def compare(
         opened[one][0] if one in opened else OwnPolicy(policy=one).make(tested.acting)
         for one in agents
     ]
-    command = shlex.join(["astray", *sys.argv[1:]])
+    command = command_of("astray", *sys.argv[1:])
     print(
         write(
             policies, rules, shift, numbers, out, variant=variant, command=command, longest=longest

@@ -1,6 +1,5 @@
 """The verb that explains an agent."""
 
-import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +10,7 @@ from astray.cli.arguments import GivenLevel, TestedPlayer
 from astray.files import check_free, check_writable
 from astray.training.folders import AgentFolder
 from astray.training.settings import otherwise
-from astray.validation import bounded
+from astray.validation import bounded, command_of
 
 MOST_LEVELS = 10_000
 
@@ -61,7 +60,7 @@ def explain(
         where, given = f"{name} level {number}", f"--level {number}"
     else:
         drawn, where = number, f"{name} {level.level_file}"
-        given = f"--level-file {shlex.quote(str(level.level_file))}"
+        given = f"--level-file {command_of(str(level.level_file))}"
     reads = tuple(layers.split(",")) if layers else default_layers(agent)
     if reads:
         check_layers(agent, reads)  # pyright: ignore[reportArgumentType]

@@ -238,8 +238,10 @@ tags:
 _PULLED = """
 ![One level, as in training and in the test](episode.gif)
 
+In a clone of astray:
+
 ```bash
-pip install '.[hub]'   # in a clone of astray
+pip install ".[hub]"
 astray pull {repository}
 ```
 """

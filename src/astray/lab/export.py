@@ -37,7 +37,7 @@ NOTE = (
     "This page has no Python behind it. Levels, rules, arrows, episodes, splays and the posterior "
     "over goals are computed in the browser, by the same rules and the same network. The odds that "
     "it is an agent at all, gradients, interventions, best ways and other levels need the lab "
-    "itself: pip install '.[lab]' in a clone of astray, then astray lab."
+    'itself: pip install ".[lab]" in a clone of astray, then astray lab.'
 )
 
 

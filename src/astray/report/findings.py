@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import polars as pl
 
 from astray.report.claims import Claim
 from astray.training import folders
+from astray.validation import command_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,8 +28,8 @@ class Scene:
     @property
     def command(self) -> str:
         """Command that opens it in the lab."""
-        run = shlex.quote(folders.name_of(Path(self.run)))
-        return f"astray lab {run} --variant {self.variant} --level {self.level}"
+        run, options = folders.name_of(Path(self.run)), ("--variant", self.variant, "--level")
+        return command_of("astray", "lab", run, *options, str(self.level))
 
 
 @dataclass(frozen=True)

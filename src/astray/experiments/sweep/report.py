@@ -1,7 +1,6 @@
 """The report of a sweep: the agents' behaviour for each combination, and its command."""
 
 import itertools
-import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from astray.figures.grids import cells
 from astray.report.findings import Findings, Heading, Plot, Table
 from astray.training.config import PRESETS, Config
 from astray.training.settings import KNOB
+from astray.validation import command_of
 
 
 def heading(sweep: Sweep, folder: Path) -> Heading:
@@ -57,7 +57,7 @@ def command(sweep: Sweep) -> str:
     words += ["--seeds", str(sweep.seeds)]
     words += [] if sweep.levels == LEVELS_PLAYED else ["--num-test-levels", str(sweep.levels)]
     words += [] if sweep.shift is None else ["--shift", sweep.shift]
-    return shlex.join(words)
+    return command_of(*words)
 
 
 def findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findings:
