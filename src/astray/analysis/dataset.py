@@ -304,13 +304,14 @@ def write_minari(
     env.close()
     assert isinstance(taken, spaces.Discrete)
     _check_room(folder)
+    name = next((n for n, other in game.variants.items() if other == variant), None)
     named = "".join(c if c.isalnum() else "-" for c in about["policy"])
     storage = MinariStorage.new(
         folder.absolute() / "data",
         observation_space=seen,
         action_space=taken,
         data_format="hdf5",
-        env_spec=_spec(game, variant),
+        env_spec=gymnasium.registry.get(f"astray/{game.name}-{name}-{VERSION}"),
         jpeg_encoding=False,
     )
     storage.update_metadata(
@@ -355,9 +356,3 @@ def _check_room(folder: Path, size: int = 0) -> None:
 
 def _last(count: int, flag: bool) -> list[bool]:
     return [*[False] * (count - 1), flag]
-
-
-def _spec(game: Game, variant: Variant) -> Any:
-    """Return Gymnasium's specification of the environment; None if it has no id."""
-    name = next((n for n, other in game.variants.items() if other == variant), None)
-    return gymnasium.registry.get(f"astray/{game.name}-{name}-{VERSION}")

@@ -142,6 +142,7 @@ def predict(
     whole = coefficients(all_rows, every)
     again = np.array([coefficients(_resample(y, random), every) for _ in range(RESAMPLES)])
     low, high = np.quantile(again, [0.025, 0.975], axis=0)
+    areas = [float(roc_auc_score(y, x[:, k])) for k in every]
     return Prediction(
         levels=len(y),
         accuracy=estimate_mean((chances > 0.5) == y),
@@ -155,7 +156,7 @@ def predict(
                 "high": high,
                 "vif": variance_inflation(x),
                 "sign": _signs(coefficients, all_rows, whole, random),
-                "alone": [_alone(x[:, k], y, roc_auc_score) for k in every],
+                "alone": [max(area, 1 - area) for area in areas],  # in the better direction
                 "deviation": deviation,
             }
         ),
@@ -197,12 +198,6 @@ def _area(y: np.ndarray, chances: np.ndarray, auc: Any, random: np.random.Genera
     again = [auc(y[some], chances[some]) for some in drawn]
     low, high = np.quantile(again, [0.025, 0.975])
     return Estimate(float(auc(y, chances)), float(low), float(high), 1, len(y), len(y))
-
-
-def _alone(x: np.ndarray, y: np.ndarray, auc: Any) -> float:
-    """Return the area under the curve of one feature, in its better direction."""
-    found = float(auc(y, x))
-    return max(found, 1 - found)
 
 
 def _signs(

@@ -257,7 +257,8 @@ def table(
             rows += len(cells)
         levels.append(
             {
-                "walls": _walls(level),
+                # Cells, the lowest row first, with "#" for walls.
+                "walls": re.sub(r"[^#\n]", ".", "\n".join(reversed(str(level).split("\n")))),
                 "looks": dict(level.looks),
                 "other": [f"{x},{y}" for x, y in level.where("other")],
                 "places": [f"{x},{y}" for x, y in cells],
@@ -273,12 +274,6 @@ def table(
     index = {"actions": len(game.actions), "one": CERTAIN, "low": low, "high": high}
     index["levels"] = levels
     return index, data.tobytes()
-
-
-def _walls(level: Level) -> str:
-    """Return the level's cells, lowest row first, with "#" for walls."""
-    rows = reversed(str(level).split("\n"))
-    return "\n".join("".join("#" if char == "#" else "." for char in row) for row in rows)
 
 
 def _write(path: Path, data: Any) -> None:

@@ -7,7 +7,6 @@ report.html: figures for each pair of settings, and the rates.
 """
 
 import json
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,7 +46,9 @@ def run_sweep(
     with hold(folder, "sweeps in"):
         _note(sweep, folder)
         plans = sweep.plans()
-        runs = train_agents(_joined(plans), folder, workers, on, track)
+        agents = {name: config for plan in plans.values() for name, config in plan.agents.items()}
+        joined = replace(next(iter(plans.values())), agents=agents, tests={}, first_level=None)
+        runs = train_agents(joined, folder, workers, on, track)
         parts = [_episodes(sweep, folder, cell, plan, runs) for cell, plan in plans.items()]
         episodes = pl.concat(parts, how="diagonal_relaxed")
         write_table(episodes, folder / OUTCOMES)
@@ -67,12 +68,6 @@ def _note(sweep: Sweep, folder: Path) -> None:
         "shift": sweep.shift,
     }
     write_aside(folder / SWEPT, json.dumps(data, indent=1).encode())
-
-
-def _joined(plans: Mapping[Cell, Plan]) -> Plan:
-    """Return the agents of all combinations as one plan, for their training."""
-    agents = {name: config for plan in plans.values() for name, config in plan.agents.items()}
-    return replace(next(iter(plans.values())), agents=agents, tests={}, first_level=None)
 
 
 def _episodes(sweep: Sweep, folder: Path, cell: Cell, plan: Plan, runs: Runs) -> pl.DataFrame:
