@@ -20,6 +20,7 @@ from astray.analysis.overlap import overlap
 from astray.analysis.policies import Random
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv, picture
+from astray.experiments import catalogue
 from astray.level import Level
 from astray.level_files import read_levels
 from astray.training.config import PRESETS, Config
@@ -148,10 +149,11 @@ def test_numbers_of_levels_are_integers_that_are_levels(take, levels):
     "options, message",
     [
         ({"levels": [1, 2]}, "unknown option 'levels'; there are: level, state, reset_mask"),
-        ({"level": 1.0}, "levels must be integers; got 1.0"),
+        ({"level": 1.0}, "levels must be integers of at most 64 bits; got 1.0"),
         ({"level": [1, True]}, "levels must be integers"),
-        ({"level": True}, "levels must be integers; got True"),
-        ({"level": "1"}, "levels must be integers; got '1'"),
+        ({"level": 2**64}, "levels must be integers of at most 64 bits; got 18446744073709551616"),
+        ({"level": True}, "levels must be integers of at most 64 bits; got True"),
+        ({"level": "1"}, "levels must be integers of at most 64 bits; got '1'"),
         ({"level": 1, "state": small().get_state()}, "by a level or by a state, not both"),
     ],
 )
@@ -271,6 +273,22 @@ def test_a_copy_of_an_environment_shares_nothing(make):
     before = ours.get_state()
     theirs.step(np.zeros(theirs.num_envs, int))
     assert ours.get_state().tobytes() == before.tobytes() != theirs.get_state().tobytes()
+
+
+@pytest.mark.parametrize("line", ["raise SystemExit(0)", "raise KeyboardInterrupt", "1 / 0"])
+def test_a_module_that_fails_is_named_whatever_it_raises(tmp_path, monkeypatch, line):
+    (tmp_path / "failing.py").write_text(line)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ValueError, match=r"^the module 'failing' fails: "):
+        imports.find("failing:GAME")
+    with pytest.raises(ValueError, match=r"failing\.py"):
+        catalogue.find(str(tmp_path / "failing.py"))
+
+
+@pytest.mark.parametrize("seed", [-1, 2**31, 2**63, 0.5])
+def test_a_seed_of_random_actions_is_one_that_its_numbers_have(seed):
+    with pytest.raises(ValueError, match=r"^seed must be an integer from 0 to 2147483647; got"):
+        evaluate(Random(seed), "maze", "corner-small", [0])
 
 
 @pytest.mark.parametrize("name", ["../x", ".", "", "os", "os:", ":path", "os:path:join", "a b:c"])

@@ -1,14 +1,44 @@
 """Import of users' objects by name, "module:attribute", as in entry points."""
 
+import contextlib
 import importlib
 import re
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib.metadata import EntryPoint, distributions
 from typing import Any
 
+from astray.validation import shown
+
 NAME = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end, for instance by a cluster; partial files are removed."""
+
+
+@contextlib.contextmanager
+def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
+    """Turn every error of a user's code into a ValueError, also an exit or an interrupt.
+
+    Args:
+        what: Name of the code for the error, which says "{what} fails".
+        passed: Errors that are raised unchanged.
+
+    Raises:
+        ValueError: If the code raises anything but those.
+    """
+    lent = sys.stdout
+    if lent and lent is sys.__stdout__:  # the code may close it, and the verb's output follows
+        lent = open(1, "w", 1, errors="backslashreplace", closefd=False)  # noqa: SIM115
+    try:
+        with contextlib.redirect_stdout(lent):
+            yield
+    except (Terminated, *passed):
+        raise
+    except BaseException as error:
+        raise ValueError(f"{what} fails: {shown(error, 300)}") from error
 
 
 def is_name(text: str) -> bool:
@@ -36,13 +66,15 @@ def find(name: str) -> Any:
     """Import the module in a name "module:attribute", and return the object. The module is run.
 
     Raises:
-        ValueError: If there is no such object.
+        ValueError: If there is no such object, or the module fails.
     """
     if not is_name(name):
         raise ValueError(f"{name!r} must be a module and what is in it; as module:attribute")
+    module = name.partition(":")[0]
     try:
-        return _attribute(importlib.import_module(name.partition(":")[0]), name)
-    except (ImportError, AttributeError, ValueError) as error:
+        with guarded(f"the module {module!r}", ImportError, AttributeError):
+            return _attribute(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
         raise ValueError(f"{name!r} must be a module and what is in it; {error}") from error
 
 

@@ -74,12 +74,12 @@ def integers(given: Any, name: str) -> np.ndarray:
     A float would be truncated silently, and a boolean would become 0 or 1.
 
     Raises:
-        ValueError: If it holds anything but integers.
+        ValueError: If it holds anything but integers of at most 64 bits.
     """
     numbers = array_of(given)
     several = isinstance(given, Sequence) and not isinstance(given, str | range)
     if numbers.dtype.kind not in "iu" or (several and any(isinstance(x, bool) for x in given)):
-        raise ValueError(f"{name} must be integers; got {reprlib.repr(given)}")
+        raise ValueError(f"{name} must be integers of at most 64 bits; got {reprlib.repr(given)}")
     return numbers
 
 
@@ -151,8 +151,6 @@ class _Bounded(reprlib.Repr):
     def repr_instance(self, x: Any, level: int) -> str:
         try:
             return super().repr_instance(x, level)
-        except KeyboardInterrupt:
-            raise
         except BaseException:  # a stranger's object may even exit
             return f"<{type(x).__name__} that cannot be shown>"
 

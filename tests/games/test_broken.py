@@ -1,7 +1,10 @@
 """A game of a stranger that is broken is told, and keeps nothing else from being seen."""
 
 import json
+import os
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -18,10 +21,15 @@ SOURCES = {
     "fails_unsaid": "class Unsaid(Exception):\n    def __repr__(self): raise SystemExit(0)\n"
     "raise Unsaid",
     "poses": "class Posed:\n    __class__ = property(lambda self: exit())\nGAME = Posed()",
+    "interrupts": "raise KeyboardInterrupt",
     "ends": "class End(BaseException): pass\nraise End('for good')",
     "leaves_late": "import dataclasses, sys\nfrom astray import games\n"
     "class Variants(dict):\n    items = sys.exit\n"
     "GAME = dataclasses.replace(games.find('maze'), name='leaves_late', variants=Variants())",
+    "misleads_late": "import dataclasses\nfrom astray import games\n"
+    "class Odd(ValueError):\n    def __str__(self): raise KeyboardInterrupt\n"
+    "class Variants(dict):\n    def items(self): raise Odd\n"
+    "GAME = dataclasses.replace(games.find('maze'), name='misleads_late', variants=Variants())",
     "is_no_text": "import dataclasses\nfrom astray import games\n"
     "GAME = dataclasses.replace(games.find('maze'), name='is_no_text', about=b'maze')",
     "is_hollow": "import dataclasses\nfrom astray import games\n"
@@ -34,8 +42,10 @@ REASONS = {
     "hides": "must be a Game called 'hides'; got <Hidden that cannot be shown>",
     "fails_unsaid": "fails: <Unsaid that cannot be shown>",
     "poses": "SystemExit(None)",
+    "interrupts": "KeyboardInterrupt()",
     "ends": "End('for good')",
     "leaves_late": "SystemExit()",
+    "misleads_late": "fails: Odd()",
     "is_no_text": "type bytes is not JSON",
     "is_hollow": "no attribute 'about'",
 }
@@ -59,11 +69,30 @@ def test_what_is_there_is_listed_beside_broken_games_and_why(strangers, astray):
 
 @pytest.mark.parametrize("name", REASONS)
 def test_a_broken_game_is_refused_where_it_is_asked_for(strangers, name):
-    if name in ("leaves_late", "is_no_text", "is_hollow"):
+    if name in ("leaves_late", "misleads_late", "is_no_text", "is_hollow"):
         assert games.find(name).name == name  # it is broken where it is described
     else:
         with pytest.raises(ValueError, match=re.escape(REASONS[name])):
             games.find(name)
+
+
+def test_a_game_that_closes_the_standard_output_does_not_end_what_follows(tmp_path, monkeypatch):
+    module = (
+        "import dataclasses, sys\nfrom astray import games\nprint('loaded')\n"
+        "GAME = dataclasses.replace(games.find('maze'), name='NAME')\nsys.stdout"
+    )
+    ends = {"closes": ".close()", "takes": " = None"}
+    offer(tmp_path, monkeypatch, **{n: module.replace("NAME", n) + e for n, e in ends.items()})
+    games._offered.cache_clear()
+    program = "from astray import games; print(*(games.find(n).name for n in ('closes', 'takes')))"
+    paths = os.pathsep.join([str(tmp_path), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": paths},
+    )
+    assert done.stdout.split() == ["loaded", "loaded", "closes", "takes"], done.stderr
 
 
 def test_text_that_fails_when_it_is_printed_is_listed_as_text(tmp_path, monkeypatch, astray):

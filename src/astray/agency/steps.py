@@ -45,7 +45,7 @@ class Rule:
 
     def integrate(self, log_values: np.ndarray) -> np.ndarray:
         """Return the log of the integral of exp(log_values [..., N]) over eps."""
-        return logsumexp(log_values + self.log_weight, axis=-1)
+        return logsumexp(log_values + self.log_weight, axis=-1)  # pyright: ignore[reportReturnType]
 
 
 @cache
@@ -63,18 +63,14 @@ def rule(degree: int, beta: float = 1.0) -> Rule:
     if degree > LONGEST:
         raise ValueError(f"at most {LONGEST} steps can be measured together; got {degree}")
     needed = degree + int(np.ceil(beta - 1))
-    x, weight = np.polynomial.legendre.leggauss(_nodes(needed)) if needed <= EXACT else _panels()
+    nodes = max(16, 1 << (needed // 2).bit_length())  # more than needed // 2; few rules differ
+    x, weight = np.polynomial.legendre.leggauss(nodes) if needed <= EXACT else _panels()
     eps, certain = (1 + x) / 2, (1 - x) / 2
     if needed > EXACT:  # there x is eps in (0, 1/2), mirrored
         eps, certain = np.append(x, 1 - x), np.append(1 - x, x)
         weight = np.append(weight, weight) * 2
     prior = np.log(beta) + (beta - 1) * np.log(certain)
     return Rule(eps, certain, np.log(weight / 2) + prior)
-
-
-def _nodes(degree: int) -> int:
-    """Return at least degree // 2 + 1 nodes, rounded up so that few rules are computed."""
-    return max(16, 1 << (degree // 2).bit_length())
 
 
 def _panels() -> tuple[np.ndarray, np.ndarray]:

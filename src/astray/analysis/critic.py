@@ -72,7 +72,7 @@ def visit(
         before = world.shown(step.before, step.observations) if world else step.before
         for level, reward in zip(step.level, step.rewards, strict=True):
             rewards[level].append(float(reward))
-        noise = episode_noise(STEP_SALT + seed, step.before, 1)
+        noise = episode_noise(seed, step.before, 1, STEP_SALT)
         for i in np.flatnonzero(noise[:, 0] < limit[step.level]):
             heap, one = heaps[step.level[i]], slice(i, i + 1)
             state = before[one].copy()

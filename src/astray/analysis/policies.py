@@ -13,14 +13,20 @@ from astray.envs.vector import Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN, Game
 from astray.kernel.rng import fill_noise
+from astray.validation import MOST, bounded
 
 RANDOM_SALT = 2**32  # no agent has this seed, or a larger one
 
 
-def episode_noise(seed: int, states: np.ndarray, count: int) -> np.ndarray:
-    """Return noise [N, count] for the next action in states [N], independent of the batch."""
+def episode_noise(seed: int, states: np.ndarray, count: int, salt: int = 0) -> np.ndarray:
+    """Return noise [N, count] for the next action in states [N], independent of the batch.
+
+    Raises:
+        ValueError: If the seed is invalid.
+    """
+    bounded("seed", seed, 0, MOST)
     out = np.empty((len(states), count), np.float32)
-    fill_noise(seed, states["level"].copy(), states["time"].copy(), out)
+    fill_noise(salt + seed, states["level"].copy(), states["time"].copy(), out)
     return out
 
 
@@ -38,7 +44,7 @@ class Random:
         if not isinstance(space, Discrete):
             pairs = zip(env.states["level"].tolist(), env.states["time"].tolist(), strict=True)
             return Answer(np.array([_drawn(space, self.seed, *pair) for pair in pairs]))
-        noise = episode_noise(RANDOM_SALT + self.seed, env.states, int(space.n))
+        noise = episode_noise(self.seed, env.states, int(space.n), RANDOM_SALT)
         return Answer(int(space.start) + noise.argmax(1))
 
 

@@ -19,10 +19,6 @@ UNREAD = 141  # likewise SIGPIPE: nobody reads what is written, as in `astray li
 TERMINATED = 143  # likewise SIGTERM
 
 
-class Terminated(KeyboardInterrupt):
-    """The process was asked to end, for instance by a cluster; partial files are removed."""
-
-
 def main() -> None:
     """Run the `astray` command; report a user's mistake in a sentence, without a traceback."""
     code = 0
@@ -42,7 +38,7 @@ def main() -> None:
             sys.stdout.flush()
     except BrokenPipeError:
         code = UNREAD
-    except Terminated:
+    except imports.Terminated:
         _tell("terminated")
         code = TERMINATED
     except KeyboardInterrupt:
@@ -60,7 +56,7 @@ def main() -> None:
 
 
 def _terminate(*_: object) -> None:
-    raise Terminated
+    raise imports.Terminated
 
 
 def _open_streams() -> None:

@@ -80,7 +80,8 @@ def _run(path: Path) -> object:
     check_readable(path, LARGEST)
     module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
+        with imports.guarded(f"{path}", Exception):
+            spec.loader.exec_module(module)
     except SyntaxError as error:
         raise ValueError(f"{path} must be a file of Python; {brief(error)}") from error
     except Exception as error:

@@ -15,7 +15,7 @@ from typing import Any
 
 from astray import imports
 from astray.game import Game
-from astray.validation import brief, shown
+from astray.validation import brief, of_kind, shown
 
 OWN = tuple(sorted(module.name for module in pkgutil.iter_modules(__path__) if module.ispkg))
 GROUP = "astray.games"
@@ -47,8 +47,7 @@ def register(game: Game) -> None:
     Raises:
         ValueError: If the name is invalid, or that of one of astray's own games.
     """
-    if not isinstance(game, Game):
-        raise ValueError(f"a game must be a Game; got {game!r}")
+    of_kind("a game", game, Game)
     if not all(re.fullmatch(r"[\w:.-]+", name) for name in (game.name, *game.variants)):
         raise ValueError(
             "names of a game and its variants must be of letters, digits, _, -, . and :; got "
@@ -89,13 +88,12 @@ def survey(describe: Callable[[Game], Any]) -> tuple[dict[str, Any], dict[str, s
     found, broken = {}, {}
     for name in names():
         try:
-            # As it is sent: plain data, of which nothing fails when it is printed.
-            found[name] = json.loads(json.dumps(describe(find(name))))
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # also of an exit
-            is_told = isinstance(error, ValueError)
-            broken[name] = brief(error) if is_told else f"the game {name!r} fails: {shown(error)}"
+            game = find(name)
+            with imports.guarded(f"the game {name!r}"):
+                # As it is sent: plain data, of which nothing fails when it is printed.
+                found[name] = json.loads(json.dumps(describe(game)))
+        except ValueError as error:
+            broken[name] = brief(error)
     return found, broken
 
 
@@ -107,15 +105,9 @@ def _offered() -> dict[str, EntryPoint]:
 
 @functools.cache
 def _load(point: EntryPoint) -> Game:
-    try:
+    with imports.guarded(f"the game {point.name!r}, {point.value},"):
         game = point.load()
         known = isinstance(game, Game) and game.name == point.name  # a stranger's class may exit
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # else a module that exits would end every verb
-        raise ValueError(
-            f"the game {point.name!r}, {point.value}, fails: {shown(error, 300)}"
-        ) from error
     if not known:
         raise ValueError(f"{point.value} must be a Game called {point.name!r}; got {shown(game)}")
     return game

@@ -127,7 +127,7 @@ class Chance:
     name: str = "random"
 
     def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
-        return episode_noise(RANDOM_SALT + self.seed, env.states, 1)[:, 0].astype(float)
+        return episode_noise(self.seed, env.states, 1, RANDOM_SALT)[:, 0].astype(float)
 
 
 @dataclass(frozen=True)

@@ -101,7 +101,7 @@ def write_card(run: Path, name: str) -> None:
     config, said = its.config(), its.origin()
     network, architecture = policy.load(its.weights, config.game)
     environment = templates("astray.published", markdown=True)
-    environment.filters["cell"] = _cell
+    environment.filters["cell"] = lambda value: " ".join(str(value).split()).replace("|", "\\|")
     try:
         told = [str(RENAMED.get(key, key)) for key in said["settings_told"]]  # of an older version
         text = environment.get_template("card.md").render(
@@ -117,11 +117,6 @@ def write_card(run: Path, name: str) -> None:
     except (TemplateError, AttributeError, TypeError) as error:
         raise ValueError(f"{run} has {ORIGIN} or {CHECKS} as astray does not: {error}") from error
     write_aside(its.card, text.encode())
-
-
-def _cell(value: Any) -> str:
-    """Escape a value for one cell of a table."""
-    return " ".join(str(value).split()).replace("|", "\\|")
 
 
 def _config(file: Path, found: Imported, known: Known) -> tuple[Config, list[str]]:

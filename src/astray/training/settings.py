@@ -11,7 +11,7 @@ from tyro.conf import arg
 from astray import imports
 from astray.game import MOST_EDITS, Mutation
 from astray.record import LEVELS
-from astray.validation import MOST, one_of, shown
+from astray.validation import MOST, of_kind, one_of, shown
 
 KNOB = "variant."  # prefix that marks a name as a knob rather than a setting
 SHORT = {"lr": "learning_rate"}  # other names of settings
@@ -124,8 +124,7 @@ def check(record: Any) -> None:
     for name, kind in typing.get_type_hints(type(record)).items():
         value = getattr(record, name)
         if kind in (Sampling, Fast):
-            if not isinstance(value, kind):
-                raise ValueError(f"{name} must be a {kind.__name__}; got {shown(value)}")
+            of_kind(name, value, kind)
             continue
         _check_type(name, value, kind)
         low, high = RANGES.get(name, (-inf, inf))

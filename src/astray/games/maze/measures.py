@@ -115,18 +115,14 @@ def _features(s: Any, parts: tuple[int, int] | None, corners: Sequence[int]) -> 
         ("cheese to corner", cheese, corner, _steps(s, "corner", cheese)),
         ("start to decision square", parts, begin, float(from_start)),
     ):
-        known = None not in (parts, one, to)
-        found[f"{name}, straight"] = _straight(one, to) if known else np.nan
-        found[f"{name}, steps"] = count if known else np.nan
+        apart = np.subtract(one, to) if parts and one and to else (np.nan, np.nan)
+        found[f"{name}, straight"] = float(np.hypot(apart[0], apart[1]))
+        found[f"{name}, steps"] = count if parts and one and to else np.nan
     for side in corners:
         for name, one in (("decision square", parts), ("cheese", cheese)):
             gap = _below(one, corner, side) if parts is not None else np.nan
             found[f"{name} to {side} x {side} corner, straight"] = gap
     return found
-
-
-def _straight(one: Any, to: Any) -> float:
-    return float(np.hypot(one[0] - to[0], one[1] - to[1]))
 
 
 def _steps(s: Any, goal: str, cell: tuple[int, int] | None) -> float:
