@@ -175,6 +175,7 @@ class Asking:
 
     def receive(self, group: int) -> Answer:
         answer = self.policy.actions(self._turn)  # not before: nobody may ask for the last turn's
+        of_kind("what a policy returns", answer, Answer)
         check_rows(answer.memory, len(self._turn.begins))
         self._memory = answer.memory
         return answer

@@ -10,6 +10,7 @@ from gymnasium.spaces import Box
 from torch import nn
 
 from astray.acting import steps
+from astray.agents.recurrent import Recurrent
 from astray.analysis.adapters import Function, from_sb3, from_torchrl
 from astray.analysis.cleanrl import from_cleanrl
 from astray.analysis.evaluate import evaluate
@@ -143,6 +144,30 @@ def test_a_network_draws_its_actions_as_often_as_its_own_library_does():
     assert abs(first.actions[:900].mean() - rate) < wide and abs(own - rate) < wide
 
 
+def averaged(agent, seen):
+    """Logits of the right shape that are the mean over the batch."""
+    return both(agent, seen)[0].mean(0, keepdim=True).expand(len(seen), -1)
+
+
+class Forgetful(Recurrent):
+    """It returns one row of logits for the whole batch."""
+
+    memory = 1
+
+    def recall(self, observation, state, begins):
+        return torch.zeros(1, 2), torch.zeros(len(state)), state
+
+
+class Bare(Function):
+    """It returns actions without an `Answer`."""
+
+    def __init__(self):
+        super().__init__(lambda seen: np.zeros(len(seen), int))
+
+    def actions(self, turn):
+        return super().actions(turn).actions
+
+
 @pytest.mark.parametrize(
     "network, said",
     [
@@ -154,6 +179,9 @@ def test_a_network_draws_its_actions_as_often_as_its_own_library_does():
             Network(Model(), SPACE, ask=lambda *_: both(*_)[0] * np.nan),
             "logits that are not finite",
         ),
+        (Network(Model(), SPACE, ask=averaged), "must give logits that depend on one observation"),
+        (Network(Forgetful(), SPACE), "a network must give 16 rows, one per observation"),
+        (Bare(), "what a policy returns must be a Answer; got array"),
         (Function(lambda seen, memory, begins: 3, remembers=True), "must return actions and its"),
     ],
 )

@@ -226,10 +226,16 @@ def outputs(
     Args:
         memory: For a network with memory, its states and first-step flags [B]; the next states [B,
             ...] are then returned too.
+
+    Raises:
+        ValueError: If the network does not return a row for each observation.
     """
     found = []
     for parts in zip(*(x.split(chunk) for x in (observations, *memory)), strict=True):
         n = len(parts[0])
         padded = (torch.cat([x, x.new_zeros((chunk - n, *x.shape[1:]))]) for x in parts)
-        found.append([x[:n] for x in network(*padded)])
+        answer = network(*padded)
+        if wrong := [x.shape for x in answer if x.shape[:1] != (chunk,)]:
+            raise ValueError(f"a network must give {chunk} rows, one per observation; got {wrong}")
+        found.append([x[:n] for x in answer])
     return tuple(torch.cat(column) for column in zip(*found, strict=True))

@@ -92,14 +92,10 @@ def layers(agent: Model) -> dict[str, tuple[int, ...]]:
             blank = np.zeros((2, *agent.space.shape), agent.space.dtype)
             agent.asked(torch.from_numpy(blank).to(agent.device))
     return {
-        name: tuple(outputs[0].shape[1:])
-        for name, outputs in calls.items()
-        if len(outputs) == 1 and _is_layer(outputs[0])
+        name: tuple(x.shape[1:])
+        for name, (x, *more) in calls.items()
+        if not more and isinstance(x, Tensor) and x.is_floating_point() and len(x) == 2
     }
-
-
-def _is_layer(output: Any) -> bool:
-    return isinstance(output, Tensor) and output.is_floating_point() and len(output) == 2
 
 
 def check_layers(agent: Model, names: Sequence[str]) -> dict[str, tuple[int, ...]]:

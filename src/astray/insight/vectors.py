@@ -89,10 +89,7 @@ def pair_vectors(
     of_kind("others", others, np.ndarray)
     if len(states) != len(others):
         raise ValueError(f"states must be pairs; got {len(states)} and {len(others)}")
-    one, other = (
-        activations(agent, observe(agent, variant, some), [layer])[layer]
-        for some in (states, others)
-    )
+    one, other = (_of(agent, variant, layer, some) for some in (states, others))
     return Vectors(layer, one - other)
 
 
@@ -100,11 +97,12 @@ def set_vector(
     agent: Model, variant: str | Variant, layer: str, states: np.ndarray, others: np.ndarray
 ) -> Vectors:
     """Return the difference [...] of mean activations of `layer` between sets of states [N]."""
-    one, other = (
-        activations(agent, observe(agent, variant, some), [layer])[layer].mean(0)
-        for some in (states, others)
-    )
+    one, other = (_of(agent, variant, layer, some).mean(0) for some in (states, others))
     return Vectors(layer, (one - other)[None])
+
+
+def _of(agent: Model, variant: str | Variant, layer: str, states: np.ndarray) -> np.ndarray:
+    return activations(agent, observe(agent, variant, states), [layer])[layer]
 
 
 def object_vectors(
@@ -131,13 +129,18 @@ def corner_vectors(
         ValueError: If a level has no cell of that goal, or begins in it.
     """
 
-    def open_(level: Level) -> Level:
-        return _filled(level, _cell(level, goal), ".")
+    def filled(char: str, level: Level) -> Level:
+        cell, legend = cell_of(level, goal), level.game.editing.LEGEND
+        if cell is None or cell == level.agent:
+            raise ValueError(f"a level must have a cell of the goal {goal!r}, and not begin in it")
+        if char not in legend:
+            raise ValueError(f"{level.game.name} has no {char!r} in its legend")
+        cells = level.cells.copy()
+        cells[cell[1], cell[0]] = legend[char]
+        return Level(level.game, level.variant, cells, level.agent, level.looks)
 
-    def closed(level: Level) -> Level:
-        return _filled(level, _cell(level, goal), "#")
-
-    return edit_vectors(agent, variant, levels, layer, closed, open_)
+    closed, opened = (functools.partial(filled, char) for char in "#.")
+    return edit_vectors(agent, variant, levels, layer, closed, opened)
 
 
 def edit_vectors(
@@ -164,23 +167,6 @@ def edit_vectors(
         for make in (first or (lambda level: level), edit)
     ]
     return pair_vectors(agent, variant, layer, *pairs)
-
-
-def _cell(level: Level, goal: str) -> Cell:
-    cell = cell_of(level, goal)
-    if cell is None or cell == level.agent:
-        raise ValueError(f"a level must have a cell of the goal {goal!r}, and not begin in it")
-    return cell
-
-
-def _filled(level: Level, cell: Cell, char: str) -> Level:
-    """Return the level with the contents `char` of the legend in a cell."""
-    legend = level.game.editing.LEGEND
-    if char not in legend:
-        raise ValueError(f"{level.game.name} has no {char!r} in its legend")
-    cells = level.cells.copy()
-    cells[cell[1], cell[0]] = legend[char]
-    return Level(level.game, level.variant, cells, level.agent, level.looks)
 
 
 @dataclass(frozen=True, eq=False)

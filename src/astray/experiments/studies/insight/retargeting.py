@@ -152,21 +152,17 @@ def of_corner_mouse(rows: pl.DataFrame) -> list[Claim]:
     """Return the claims about the corner mouse, with bounds set before the run."""
     return [
         near_zero(
-            "Moving the cheese sends a mouse of the corner nowhere.",
+            sentence,
             "not measured",
-            "moved minus as it is",
-            of_levels(rows, MOVED, AS_IS),
+            f"{way} minus as it is",
+            of_levels(rows, condition, AS_IS),
             0.05,
             told=Estimate.amount,
-        ),
-        near_zero(
-            "Nor does clamping what follows the cheese in the first layer.",
-            "not measured",
-            "clamped minus as it is",
-            of_levels(rows, CLAMPED, AS_IS),
-            0.05,
-            told=Estimate.amount,
-        ),
+        )
+        for condition, way, sentence in (
+            (MOVED, "moved", "Moving the cheese sends a mouse of the corner nowhere."),
+            (CLAMPED, "clamped", "Nor does clamping what follows the cheese in the first layer."),
+        )
     ]
 
 
