@@ -107,9 +107,10 @@ def reproduce(
     Example: astray reproduce maze-corner --size smoke
 
     Args:
-        size: Size of the study: smoke (minutes on two cores), pixels (images, about an hour per
-            agent on two cores), night (the paper's worlds on two cores; prints an estimate first),
-            hour (on a GPU), paper, or published (others' agents, see `astray agents`).
+        size: Size of the study: smoke (minutes to two hours on two cores), pixels (images, about
+            an hour per agent on two cores), night (the paper's worlds on two cores; prints an
+            estimate first), hour (on a GPU), paper, or published (others' agents, see `astray
+            agents`).
         folder: Folder of reports: this one is written to <name>-<size>, and all share the agents.
         on: Place of the trainings: this machine, or a Ray cluster whose nodes share the folder.
         art: Art that images are drawn with: own or original.
