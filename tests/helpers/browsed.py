@@ -14,6 +14,7 @@ import pytest
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 PATIENCE = 120  # seconds until a page shows what is waited for; machines may be busy
+ROOM = "#######\n#....G#\n#.###.#\n#.#...#\n#.#.#.#\n#@....#\n#######"
 TOKEN = "a-token-that-nobody-guesses"
 # Plays actions in a level by the rules of a page, and tells its states.
 PLAY = """async ([game, level, variant, actions]) => {
