@@ -16,51 +16,23 @@ function addresses(modules) {
   return addressOf;
 }
 
-// Asks the notebook's kernel, as `engine/socket.js` asks a server.
-class KernelEngine {
-  constructor(model) {
-    this.model = model;
-    this.waiting = new Map();
-    this.next = 1;
-    this.status = () => {};
-    model.on("msg:custom", (content) => this.hear(content));
-  }
-
-  hear({ id, done, error, ...part }) {
-    const asked = this.waiting.get(id);
-    if (!asked) return;
-    if (!done) {
-      asked.heard(part);
-      return;
-    }
-    this.waiting.delete(id);
-    if (error) asked.reject(new Error(error));
-    else asked.resolve(part);
-  }
-
-  ask(message, heard = () => {}) {
-    const id = this.next++;
-    const same = ({ kind, slot = "" }) => `${kind} ${slot}`;
-    for (const [other, asked] of this.waiting) {
-      if (same(asked.message) !== same(message)) continue;
-      this.waiting.delete(other);
-      asked.resolve(null);
-    }
-    return new Promise((resolve, reject) => {
-      this.waiting.set(id, { resolve, reject, heard, message });
-      this.model.send(JSON.stringify({ id, ...message }));
-    });
-  }
+// An engine that asks the notebook's kernel, as `engine/socket.js` asks a server.
+function kernelEngine(model, Questions) {
+  const questions = new Questions((text) => model.send(text));
+  model.on("msg:custom", (content) => questions.hear(content));
+  return { status: () => {}, ask: (message, heard) => questions.ask(message, heard) };
 }
 
 async function render({ model, el }) {
   const modules = model.get("modules");
-  const { Lab } = await import(addresses(modules)("app.js"));
+  const addressOf = addresses(modules);
+  const { Lab } = await import(addressOf("app.js"));
+  const { Questions } = await import(addressOf("engine/questions.js"));
   const page = new DOMParser().parseFromString(modules["index.html"], "text/html");
   const root = document.importNode(page.getElementById("lab"), true);
   root.classList.add("embedded");
   el.append(root);
-  const lab = new Lab(root, new KernelEngine(model), { links: false });
+  const lab = new Lab(root, kernelEngine(model, Questions), { links: false });
   el.lab = lab;
   await lab.begin();
 }

@@ -1,0 +1,49 @@
+// Questions that are asked elsewhere, and their answers as they come.
+
+export class Questions {
+  // `send` sends the text of a question, which says its id; its answers are for `hear`.
+  constructor(send) {
+    this.send = send;
+    this.waiting = new Map();
+    this.next = 1;
+  }
+
+  hear({ id, done, stale, error, ...part }) {
+    const asked = this.waiting.get(id);
+    if (!asked) return;
+    if (!done) {
+      asked.heard(part);
+      return;
+    }
+    this.waiting.delete(id);
+    if (stale) asked.resolve(null);
+    else if (error) asked.reject(new Error(error));
+    else asked.resolve(part);
+  }
+
+  // The last part of the answer; `heard` gets those before it. null where a newer question came.
+  ask(message, heard = () => {}) {
+    const id = this.next++;
+    const text = JSON.stringify({ id, ...message });
+    this.#giveUp(message);
+    return new Promise((resolve, reject) => {
+      this.waiting.set(id, { resolve, reject, heard, text, message });
+      this.send(text);
+    });
+  }
+
+  // Sends all that was not answered once more.
+  sendAgain() {
+    for (const { text } of this.waiting.values()) this.send(text);
+  }
+
+  // Questions that a newer one takes the place of are not asked again.
+  #giveUp({ kind, slot = "" }) {
+    for (const [id, asked] of this.waiting) {
+      if (asked.message.kind === kind && (asked.message.slot ?? "") === slot) {
+        this.waiting.delete(id);
+        asked.resolve(null);
+      }
+    }
+  }
+}
