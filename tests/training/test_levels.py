@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from astray.envs.beginnings import initial_states
 from astray.envs.loops import SHIFT
 from astray.envs.vector import GameVectorEnv
 from astray.games.maze import GAME
@@ -160,7 +161,8 @@ def test_what_scores_higher_takes_the_place_of_what_is_replayed_least():
     sampler = Replay(PLR.changed(buffer=16, levels=10**6))
     sampler._fill()
     sampler.score[:] = np.arange(16)
-    sampler.kind, sampler.current = 0, sampler._generate(np.arange(500_000, 500_016))
+    numbers = np.arange(500_000, 500_016)
+    sampler.kind, sampler.current = 0, initial_states(GAME, sampler.variant, numbers)
     score = np.full(16, -1.0)
     score[:3] = 9.5, 1.5, 99.0
     before = sampler.states["level"].copy()

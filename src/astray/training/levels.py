@@ -10,8 +10,8 @@ from typing import Protocol
 
 import numpy as np
 
+from astray.envs.beginnings import in_chunks
 from astray.envs.loops import SHIFT
-from astray.envs.vector import GameVectorEnv
 from astray.kernel.rng import fill_fractions
 from astray.memory import check_memory
 from astray.record import trusted
@@ -22,7 +22,6 @@ from astray.validation import of_kind
 SALT = 0x1E7E15  # salt of a sampler's random numbers
 FIRST = 0.1  # fraction of the levels that `Growing` begins with
 GROWS = 0.5  # default fraction of a training in which `Growing` adds levels
-MEASURED = 1000  # levels measured at once
 Arrays = Mapping[str, np.ndarray]
 
 
@@ -253,15 +252,8 @@ class Growing:
         self.fraction = GROWS if config.sampler.fraction is None else config.sampler.fraction
         reachable, numbers = game.solver.reachable, np.array(config.training_levels)
         check_memory(17 * len(numbers), f"{len(numbers):,} training levels")
-        shown, n = "symbolic" if game.symbols else "image", min(len(numbers), MEASURED)
-        nursery = GameVectorEnv(game, config.training_variant(), n, observation=shown)
-        sizes = np.empty(len(numbers), np.int64)
-        for first in range(0, len(numbers), n):
-            first = min(first, len(numbers) - n)  # as many as environments
-            nursery.reset(options={"level": numbers[first : first + n]})
-            states = trusted(nursery.get_state())
-            sizes[first : first + n] = [reachable(s).sum() for s in states]
-        nursery.close()
+        begun = in_chunks(game, config.training_variant(), numbers)
+        sizes = np.array([reachable(s).sum() for states in begun for s in trusted(states)])
         self.by_size = numbers[np.argsort(sizes, kind="stable")]
         self.turn, self.count = 0, len(numbers)
 

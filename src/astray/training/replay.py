@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from astray.envs.vector import GameVectorEnv
+from astray.envs.beginnings import initial_states
 from astray.memory import check_memory
 from astray.record import NEVER, trusted
 from astray.training.config import Config
@@ -67,8 +67,6 @@ class Replay:
         check_memory(2 * size * self.game.state.itemsize, f"a buffer of {size:,} levels")
         self.chance = config.sampler.replay or CHANCES[config.sampler.kind]
         self.intended = config.intended_goal() if config.sampler.score == "regret" else None
-        shown = "symbolic" if self.game.symbols else "image"
-        self._nursery = GameVectorEnv(self.game, self.variant, n, observation=shown)
         self.states = np.zeros(size, self.game.state)
         self.score, self.best, self.optimal = np.zeros((3, size))
         self.visited = np.zeros(size, np.int64)  # number of its last replay, from 1
@@ -98,7 +96,7 @@ class Replay:
             self.current = self.states[self.places]
         else:
             self.kind = GENERATE
-            self.current = self._generate(self._numbers(random))
+            self.current = self._generated(random)
         return Plan(learn=self.kind == REPLAY, repeat=True)
 
     def next(self, places: np.ndarray) -> np.ndarray:
@@ -169,18 +167,14 @@ class Replay:
         self.turn += 1
         for first in range(0, len(self.states), n):
             some = slice(first, first + n)
-            self.states[some] = self._generate(self._numbers(random))[: len(self.states) - first]
+            self.states[some] = self._generated(random)[: len(self.states) - first]
         self.optimal = self._optimal(self.states)
 
-    def _numbers(self, random: np.random.Generator) -> np.ndarray:
-        """Draw numbers of training levels for all environments."""
+    def _generated(self, random: np.random.Generator) -> np.ndarray:
+        """Return the initial states of training levels, drawn for all environments."""
         levels = self.config.training_levels
-        return random.integers(levels.start, levels.stop, len(self.places))
-
-    def _generate(self, numbers: np.ndarray) -> np.ndarray:
-        """Return the initial states of the levels with those numbers."""
-        self._nursery.reset(seed=0, options={"level": numbers})
-        return self._nursery.get_state()
+        numbers = random.integers(levels.start, levels.stop, len(self.places))
+        return initial_states(self.game, self.variant, numbers)
 
     def _insert(self, score: np.ndarray, best: np.ndarray, optimal: np.ndarray) -> None:
         """Replace the least likely levels of the buffer by new ones with higher scores.
