@@ -150,24 +150,34 @@ class OwnPolicy:
             )
 
     def open(
-        self, agent: Path | None, acting: Acting, needs: str
+        self, agent: Path | None, acting: Acting, needs: str, there: Any
     ) -> tuple[Policy, Any, Config | None]:
         """Return the agent, or this policy in its place, its game or world, and its settings.
 
         Raises:
-            ValueError: If neither or both are given; `needs` says what else a policy needs.
+            ValueError: As `replaces` does.
         """
-        if self.policy is not None:
-            if agent or needs:
-                raise ValueError(
-                    f"--policy needs {needs or 'a variant'}, and --game or --world, and no agent"
-                )
+        if self.replaces(agent, needs, there):
             return self.make(acting), world.find(self.rules()), None
-        self.without_policy()
-        if agent is None:
-            raise ValueError(NOBODY)
+        assert agent is not None
         player, config = acting.open(agent)
         return player, config.find_game(), config
+
+    def replaces(self, agents: Any, needs: str, there: Any) -> bool:
+        """Return whether there is a policy, which plays in the place of `agents`.
+
+        Raises:
+            ValueError: If neither or both are given, or a policy without the option that it
+                `needs`, which is `there`.
+        """
+        if self.policy is not None:
+            if agents or not there:
+                raise ValueError(f"--policy needs {needs}, and --game or --world, and no agent")
+            return True
+        self.without_policy()
+        if not agents:
+            raise ValueError(NOBODY)
+        return False
 
     def make(self, acting: Acting) -> Policy:
         """Return the policy; raise ValueError if the name is unknown."""
@@ -216,8 +226,8 @@ class Player:
         Raises:
             ValueError: If no agent and no policy is named, or both are.
         """
-        needs = "" if self.variant else "--variant"
-        player, rules, config = self.policy.open(self.agent, self.acting, needs)
+        opened = self.policy.open(self.agent, self.acting, "--variant", self.variant)
+        player, rules, config = opened
         made = played(rules, self.variant or config.variant, self.knobs, config)  # pyright: ignore
         return player, rules, made, config
 
@@ -256,8 +266,8 @@ class TestedPlayer:
         from astray.analysis.outcomes import load_shift
         from astray.analysis.runs import shift_of
 
-        needs = "" if self.shift else "--shift"
-        player, rules, config = self.policy.open(self.agent, self.acting, needs)
+        opened = self.policy.open(self.agent, self.acting, "--shift", self.shift)
+        player, rules, config = opened
         shift = self.shift or shift_of(config)  # pyright: ignore[reportArgumentType]
         name = self.variant or load_shift(rules, shift).test
         return player, rules, name, played(rules, name, self.knobs, config), shift, config

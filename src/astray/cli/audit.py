@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from astray import imports
-from astray.cli.arguments import AN_AGENT, NOBODY, Acting, Knobs, OwnPolicy, Rewards, Shift, pairs
+from astray.cli.arguments import AN_AGENT, Acting, Knobs, OwnPolicy, Rewards, Shift, pairs
 from astray.training.settings import otherwise
 from astray.validation import command_of
 
@@ -41,12 +41,7 @@ def audit(
     command = command_of("astray", *sys.argv[1:])
     how: dict[str, Any] = {"ghost": ghost, "levels": levels, "knobs": pairs(knobs)}
     how |= {"rewards": imports.find_each(rewards), "folder": folder, "command": command}
-    if policy.policy is None:
-        policy.without_policy()
-        if agent is None:
-            raise ValueError(NOBODY)
-        print(write(agent, shift=shift, **vars(acting), **how))
-    elif agent is not None or shift is None:
-        raise ValueError("--policy needs --shift, and --game or --world, and no agent")
-    else:
+    if policy.replaces(agent, "--shift", shift):
         print(write(policy.make(acting), policy.rules(), shift, **how))
+    else:
+        print(write(agent, shift=shift, **vars(acting), **how))
