@@ -99,8 +99,7 @@ def patch(
     Raises:
         ValueError: If the layer has no such channels or place.
     """
-    shape = check_layers(agent, [layer])[layer]
-    which = _channels(channels, shape[0])
+    shape, which = _channels(agent, layer, channels)
     if cell is not None:
         if len(shape) != 3:
             raise ValueError(f"{layer} has no places; its activations have the shape {shape}")
@@ -135,17 +134,10 @@ def ablate(
     Raises:
         ValueError: If the layer has other shapes.
     """
-    shape = check_layers(agent, [layer])[layer]
-    which = _channels(channels, shape[0])
+    shape, which = _channels(agent, layer, channels)
     mean = np.zeros(shape) if mean_of is None else _given(mean_of, shape).mean(0)
     new = torch.from_numpy(mean[which]).float()
-
-    def change(x: Tensor) -> Tensor:
-        x = x.clone()
-        x[:, which] = new.to(x)
-        return x
-
-    return changed(agent, {layer: change})
+    return changed(agent, {layer: lambda x: _with(x, which, new)})
 
 
 def resample(
@@ -167,17 +159,14 @@ def resample(
     Raises:
         ValueError: If the donors have other shapes, or there is no such channel.
     """
-    shape = check_layers(agent, [layer])[layer]
-    which = _channels(channels, shape[0])
+    shape, which = _channels(agent, layer, channels)
     bounded("seed", seed, 0, MOST)
     pool = torch.from_numpy(np.ascontiguousarray(_given(donors, shape)[:, which]))
 
     def change(x: Tensor) -> Tensor:
         rows = x.detach().numpy(force=True)
         drawn = [zlib.crc32(row.tobytes(), seed) % len(pool) for row in rows]
-        x = x.clone()
-        x[:, which] = pool[drawn].to(x)
-        return x
+        return _with(x, which, pool[drawn])
 
     return changed(agent, {layer: change})
 
@@ -203,8 +192,7 @@ def interchange(
     Raises:
         ValueError: If there are not as many states, or the layer has no such channels.
     """
-    shape = check_layers(agent, [layer])[layer]
-    which = _channels(channels, shape[0])
+    _, which = _channels(agent, layer, channels)
     if np.shape(states) != np.shape(others):
         raise ValueError(
             f"there must be another state for each; got {np.shape(states)} and {np.shape(others)}"
@@ -216,9 +204,7 @@ def interchange(
         part = slice(first, first + AT_ONCE)
 
         def change(x: Tensor, part: slice = part) -> Tensor:
-            x = x.clone()
-            x[:, which] = given[part].to(x)
-            return x
+            return _with(x, which, given[part])
 
         with torch.no_grad(), changed(agent, {layer: change}):
             logits, values = agent.asked(torch.from_numpy(seen[part]).to(agent.device))
@@ -287,16 +273,27 @@ def _check_cell(cell: Any, names: Sequence[str], sizes: Sequence[int]) -> None:
         bounded(f"the cell's {name}", number, 0, size - 1)
 
 
-def _channels(channels: Sequence[int] | None, count: int) -> np.ndarray:
-    """Return `channels` as an array; all channels for None."""
+def _channels(
+    agent: AnyModel, layer: str, channels: Sequence[int] | None
+) -> tuple[tuple[int, ...], np.ndarray]:
+    """Return the shape of a layer, and `channels` of it as an array; all channels for None."""
+    shape = check_layers(agent, [layer])[layer]
+    count = shape[0]
     if channels is None:
-        return np.arange(count)
+        return shape, np.arange(count)
     found = np.asarray(channels)
     if found.ndim != 1 or (found.size and found.dtype.kind not in "iu"):
         raise ValueError(f"channels must be integers in a list; got {shown(channels)}")
     if found.size and not (found.min() >= 0 and found.max() < count):
         raise ValueError(f"channels must be from 0 to {count - 1}; got {shown(channels)}")
-    return found.astype(np.int64)
+    return shape, found.astype(np.int64)
+
+
+def _with(x: Tensor, which: np.ndarray, new: Tensor) -> Tensor:
+    """Return a copy of activations [B, ...] with `new` values in the channels `which`."""
+    x = x.clone()
+    x[:, which] = new.to(x)
+    return x
 
 
 def _fitting(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
