@@ -22,6 +22,8 @@ from astray.record import LEVELS
 from astray.validation import MOST, bounded, integers, of_kind, one_of
 
 Mode = Literal["easy", "hard", "memory", "exploration"]
+# Observations, rewards, ends and infos.
+Taken = tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]
 EXPLORATION = {  # the one level of that mode
     "coinrun": 1949448038, "maze": 158988835, "heist": 876640971,
 }  # fmt: skip
@@ -230,16 +232,12 @@ class ProcgenEnv:
         """Take a step; `step_wait` returns its result."""
         self.gym3.act(actions)
 
-    def step_wait(
-        self,
-    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:
+    def step_wait(self) -> Taken:
         """Return observations, rewards, ends [num_envs] bool and infos of the last step."""
         reward, seen, first = self.gym3.observe()
         return seen, reward, first, self.gym3.get_info()
 
-    def step(
-        self, actions: Any
-    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:
+    def step(self, actions: Any) -> Taken:
         """Take a step and return observations, rewards [num_envs], ends [num_envs] and infos."""
         self.step_async(actions)
         return self.step_wait()

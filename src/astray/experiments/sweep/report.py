@@ -7,8 +7,7 @@ from typing import Any
 
 import polars as pl
 
-from astray.analysis.estimates import estimate_mean
-from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, rates
 from astray.analysis.runs import LEVELS_PLAYED
 from astray.estimate import Estimate
 from astray.experiments.outcomes import AGENTS
@@ -87,17 +86,11 @@ def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
     several = [n for n, values in zip(names, sweep.axes.values(), strict=True) if len(values) > 1]
     pairs = list(itertools.combinations(several, 2)) or [tuple(several or names)[:1]]
     for pair in pairs:
-        data = pl.DataFrame(
-            [
-                dict(zip(pair, key, strict=True))
-                | {"what": what}
-                | vars(estimate_mean(matrix(part, pl.col("outcome") == outcome)))
-                for what, test, outcome in (
-                    (f"{INTENDED}, {TRAINING}", TRAINING, INTENDED),
-                    (f"{MISGENERALIZED}, {TEST}", TEST, MISGENERALIZED),
-                )
-                for key, part in mine.filter(test=test).group_by(pair, maintain_order=True)
-            ]
+        data = pl.concat(
+            rates(mine.filter(test=test), pair, [outcome])
+            .rename({"outcome": "what"})
+            .with_columns(what=pl.lit(f"{outcome}, {test}"))
+            for outcome, test in ((INTENDED, TRAINING), (MISGENERALIZED, TEST))
         )
         name = "-".join(one.replace(".", "-").replace("_", "-") for one in pair)
         others = [one for one in several if one not in pair]

@@ -73,44 +73,34 @@ def find(work: Work) -> Findings:
 
 def claims(rows: pl.DataFrame, mean: Mapping[tuple[str, str], Estimate]) -> list[Claim]:
     """Return the claims, which were made before the levels of this study were played."""
-    found = []
-    for name in (SYMBOLS, PICTURES):
-        mine = rows.filter(policy=name)
-        found.append(
+    amount, of = Estimate.amount, "fraction for the {}".format
+    return [
+        *(
             above(
                 f"The {name.replace(', ', ' that sees ')} is directed to the corner more than to "
                 "the cheese.",
-                PUBLISHED,
-                "fraction for the corner minus that for the cheese",
-                of_levels(mine, "fraction", CORNER, minus=CHEESE),
-                0.3,
-                told=Estimate.amount,
+                PUBLISHED, "fraction for the corner minus that for the cheese",
+                of_levels(rows.filter(policy=name), "fraction", CORNER, minus=CHEESE), 0.3,
+                told=amount,
             )
-        )
-    for name in (UNTRAINED, RANDOM):
-        for goal in (CHEESE, CORNER):
-            found.append(
-                near_zero(
-                    f"The {name} is directed to no {goal}.",
-                    PUBLISHED,
-                    f"fraction for the {goal}",
-                    mean[name, goal],
-                    0.05,
-                    told=Estimate.amount,
-                )
+            for name in (SYMBOLS, PICTURES)
+        ),
+        *(
+            near_zero(
+                f"The {name} is directed to no {goal}.",
+                PUBLISHED, of(goal), mean[name, goal], 0.05, told=amount,
             )
-    for name, goal in WALKS.items():
-        found.append(
+            for name in (UNTRAINED, RANDOM)
+            for goal in (CHEESE, CORNER)
+        ),
+        *(
             above(
                 f"The script that walks to the {goal} is directed to it.",
-                PUBLISHED,
-                f"fraction for the {goal}",
-                mean[name, goal],
-                0.95,
-                told=Estimate.amount,
+                PUBLISHED, of(goal), mean[name, goal], 0.95, told=amount,
             )
-        )
-    return found
+            for name, goal in WALKS.items()
+        ),
+    ]  # fmt: skip
 
 
 def measured(work: Work) -> pl.DataFrame:

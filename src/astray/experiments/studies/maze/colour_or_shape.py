@@ -12,8 +12,9 @@ from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, lo
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
 from astray.experiments.outcomes import AGENTS, rate
-from astray.experiments.spec import Experiment, Work, plan_of
+from astray.experiments.spec import Experiment, Work
 from astray.experiments.studies.maze import maze_corner
+from astray.experiments.studies.maze.maze_corner import of_mouse
 from astray.figures.axes import COLOURS as OF_OUTCOMES
 from astray.figures.axes import LINES
 from astray.figures.grids import cells
@@ -236,51 +237,37 @@ EXPERIMENT = Experiment(
     reproduces="Figure 3c-d",
     question="What does a mouse look for whose goal was always a yellow line: yellow, or lines?",
     sizes={
-        "smoke": plan_of(
+        "smoke": of_mouse(
             # Half as many steps leave it at 78 % of unseen levels.
-            "mouse",
             replace(PRESETS["small"], steps=11_000_000),
-            "maze",
-            "colour-or-shape-small",
+            shift="colour-or-shape-small",
             seeds=2,
             differences="worlds of 7 cells instead of 25, seen as symbols instead of a picture, so "
             "that colours and shapes are codes; a mouse that starts anywhere and has 100 steps "
             "instead of 500; a network of two hidden layers, and 11 million steps instead of 200 "
             "million",
         ),
-        "pixels": plan_of(
-            "mouse",
+        "pixels": of_mouse(
             replace(PRESETS["pixels"], steps=2_000_000),
-            "maze",
-            "colour-or-shape-small",
+            shift="colour-or-shape-small",
             seeds=8,
             differences=f"{maze_corner.SMALL_WORLDS}; a network of patches, and 2 million steps "
             "instead of 200 million",
         ),
-        "night": plan_of(
-            "mouse",
+        "night": of_mouse(
             maze_corner.NIGHT,
-            "maze",
-            "colour-or-shape",
+            shift="colour-or-shape",
             seeds=2,
             differences=maze_corner.BY_NIGHT,
             speed=maze_corner.SPEED,
         ),
-        "hour": plan_of(
-            "mouse",
+        "hour": of_mouse(
             replace(maze_corner.PAPER, knobs=dict(EASY), steps=25_000_000),
-            "maze",
-            "colour-or-shape",
+            shift="colour-or-shape",
             differences=maze_corner.BY_HOUR,
         ),
-        "paper": plan_of(
-            "mouse",
-            maze_corner.PAPER,
-            "maze",
-            "colour-or-shape",
-            seeds=3,
-            levels=10_000,
-            differences="",
+        "paper": of_mouse(
+            maze_corner.PAPER, shift="colour-or-shape", seeds=3, levels=10_000, differences=""
         ),
     },
     find=find,

@@ -1,5 +1,6 @@
 """Mice trained with cheese in the corner, tested with cheese anywhere."""
 
+import functools
 from dataclasses import replace
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
@@ -78,36 +79,32 @@ SMALL_WORLDS = (
     "worlds of 7 cells instead of 25; a mouse that starts anywhere and has 100 steps instead of 500"
 )
 BY_HOUR = "worlds of 15 cells instead of 25, and 25 million steps instead of 200 million"
+of_mouse = functools.partial(plan_of, MOUSE, game="maze")
+
 EXPERIMENT = Experiment(
     title="The corner mouse",
     reproduces="Figure 3a-b",
     question="What does a mouse look for whose cheese was always in the upper right corner?",
     sizes={
-        "smoke": plan_of(
-            MOUSE,
+        "smoke": of_mouse(
             QUICK,
-            "maze",
-            "corner-small",
+            shift="corner-small",
             seeds=4,
             differences=f"{SMALL_WORLDS}; a network of patches, and 800,000 steps instead of 200 "
             "million",
         ),
-        "pixels": plan_of(
-            MOUSE,
+        "pixels": of_mouse(
             PIXELS,
-            "maze",
-            "corner-small",
+            shift="corner-small",
             seeds=3,
             differences=f"{SMALL_WORLDS}; a network of patches, and 2 million steps instead of 200 "
             "million",
         ),
-        "night": plan_of(
-            MOUSE, NIGHT, "maze", "corner", seeds=3, differences=BY_NIGHT, speed=SPEED
+        "night": of_mouse(NIGHT, shift="corner", seeds=3, differences=BY_NIGHT, speed=SPEED),
+        "hour": of_mouse(
+            replace(PAPER, steps=25_000_000), shift="corner-easy", differences=BY_HOUR
         ),
-        "hour": plan_of(
-            MOUSE, replace(PAPER, steps=25_000_000), "maze", "corner-easy", differences=BY_HOUR
-        ),
-        "paper": plan_of(MOUSE, PAPER, "maze", "corner", seeds=3, levels=10_000, differences=""),
+        "paper": of_mouse(PAPER, shift="corner", seeds=3, levels=10_000, differences=""),
     },
     find=find,
 )
