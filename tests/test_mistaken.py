@@ -18,8 +18,9 @@ from astray.agency.steps import log_table, rule
 from astray.analysis.evaluate import evaluate
 from astray.analysis.overlap import overlap
 from astray.analysis.policies import Random
+from astray.envs.pictures import picture
 from astray.envs.single import GameEnv
-from astray.envs.vector import GameVectorEnv, picture
+from astray.envs.vector import GameVectorEnv
 from astray.experiments import catalogue
 from astray.level import Level
 from astray.level_files import read_levels

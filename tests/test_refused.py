@@ -17,9 +17,10 @@ from astray.agents.policy import Architecture
 from astray.analysis.runs import open_run
 from astray.analysis.video import play
 from astray.cli import settings, verbs
+from astray.envs.pictures import picture
 from astray.envs.pool import Pool, check_startable
 from astray.envs.states import load_states
-from astray.envs.vector import GameVectorEnv, picture
+from astray.envs.vector import GameVectorEnv
 from astray.files import check_writable, read
 from astray.kernel.grid import distances
 from astray.kernel.rng import fill_noise

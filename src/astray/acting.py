@@ -9,18 +9,18 @@ from __future__ import annotations
 import itertools
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence, Sized
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from astray import world
-from astray.envs.beginnings import CHUNK as CHUNK
 from astray.envs.beginnings import Levels as Levels
-from astray.envs.beginnings import beginnings
+from astray.envs.beginnings import beginnings, without_autoreset
 from astray.envs.beginnings import initial_states as initial_states
 from astray.envs.rows import check_rows, rows
+from astray.envs.steps import Reward as Reward
+from astray.envs.steps import Step as Step
 from astray.envs.vector import GameVectorEnv, Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import Game, Variant
@@ -181,56 +181,6 @@ class Asking:
         return answer
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One step of each running episode, [n].
-
-    An episode's first step is the one after its level began; `ended` is true in its last one.
-
-    Attributes:
-        level: [n], position of the level in the given order.
-        before: [n] states in which the step began; the policy saw `observations` of them.
-        after: [n] states after the step, valid until the next step; `seen` are observations of
-            them.
-        extra: Arrays [n] that the policy recorded with the step, by name.
-    """
-
-    level: np.ndarray
-    before: np.ndarray
-    observations: np.ndarray
-    actions: np.ndarray
-    rewards: np.ndarray
-    after: np.ndarray
-    seen: np.ndarray
-    terminated: np.ndarray
-    ended: np.ndarray  # terminated, truncated, or an event of `until` happened
-    extra: Mapping[str, np.ndarray]
-
-    def of(self, which: np.ndarray) -> Step:
-        """Return the step restricted to some episodes, `which` [n] bool."""
-        return Step(**rows(vars(self), which))
-
-
-# A reward of one's own, for training and evaluation: the rewards [n] of a step. The game's are
-# `step.rewards`, which it may replace or add to.
-Reward = Callable[[Step], np.ndarray]
-
-
-def paid(reward: Reward, step: Step) -> np.ndarray:
-    """Return a reward of the user's own, [n] float64.
-
-    Raises:
-        ValueError: If it is anything but n finite numbers.
-    """
-    found, n = np.asarray(reward(step)), len(step.rewards)
-    if found.shape != (n,) or found.dtype.kind not in "biuf" or not np.isfinite(found).all():
-        raise ValueError(
-            f"a reward must return {n} finite numbers, one for each episode of the step; got "
-            f"{shown(found)}"
-        )
-    return found.astype(np.float64)
-
-
 def _taken(turn: Turn, answer: Answer, level: np.ndarray) -> Step:
     """Step the environments of a turn."""
     before = turn.env.get_state()
@@ -315,7 +265,7 @@ class LevelByLevel:
         if isinstance(env, GameVectorEnv) and 2 * live.sum() <= len(live):
             states, kept = env.get_state()[live], np.flatnonzero(live)
             env.close()
-            env = _environments(env.game, env.variant, len(kept), env.observation, env.art)
+            env = without_autoreset(env.game, env.variant, len(kept), env.observation, env.art)
             self._turn = Turn(env, env.set_state(states), ended[kept], kept=kept)
             self._move(kept)
         return self._turn
@@ -380,7 +330,7 @@ def steps(
     bounded("batch", batch, 1, MOST)
     check_ending(game, variant, longest)
     n = min(batch, len(levels))
-    env = _environments(game, variant, n, policy.observation, policy.art, longest)
+    env = without_autoreset(game, variant, n, policy.observation, policy.art, longest)
     stage = LevelByLevel(env, levels, until, longest)
     played, told = 0, time.monotonic()
     for step in play(Asking(policy), stage):
@@ -417,19 +367,3 @@ def check_policy(policy: Any) -> None:
             f"a policy must have {', '.join(POLICY)}: load_agent(...) gives one, and "
             f"Function(...) makes one of a function; got {shown(policy)}"
         )
-
-
-def _environments(
-    game: str | Game | World,
-    variant: str | Variant | WorldVariant,
-    n: int,
-    observation: Any,
-    art: str,
-    longest: int | None = None,
-) -> Any:
-    if isinstance(game, World):
-        return WorldVectorEnv(game, game.variant(variant), n, longest)
-    assert not isinstance(variant, WorldVariant)
-    return GameVectorEnv(
-        game, variant, n, observation=observation, art=art, autoreset_mode="Disabled"
-    )

@@ -14,7 +14,8 @@ from astray.acting import Turn
 from astray.agents.policy import Architecture, weights
 from astray.analysis.runs import open_run
 from astray.analysis.trained import Agent
-from astray.envs.vector import GameVectorEnv, picture
+from astray.envs.pictures import picture
+from astray.envs.vector import GameVectorEnv
 from astray.games.maze.variants import Maze
 from astray.training.config import Config
 from helpers import processes

@@ -11,8 +11,9 @@ from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.runs import open_run
 from astray.games.maze import solve
 from astray.insight import field_figures
+from astray.insight.actions import outcomes
 from astray.insight.activations import layers
-from astray.insight.fields import cell_of, difference, fields, outcomes, places_of, splay
+from astray.insight.fields import cell_of, difference, fields, places_of, splay
 from astray.insight.interventions import steer
 from astray.level import Level
 from astray.training import folders

@@ -20,6 +20,7 @@ from astray.acting import Levels, steps
 from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.policies import episode_noise
 from astray.analysis.trained import Model, Opaque, check_network
+from astray.envs.beginnings import without_autoreset
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
 from astray.validation import MOST, bounded, finite, of_kind
@@ -207,14 +208,7 @@ def _each(
         agent.game.check(states, variant)
         return states[SEEN]
     n = min(batch, len(states))
-    env = GameVectorEnv(
-        agent.game,
-        variant,
-        n,
-        observation=agent.observation,
-        art=agent.art,
-        autoreset_mode="Disabled",
-    )
+    env = without_autoreset(agent.game, variant, n, agent.observation, agent.art)
     shown = np.concatenate(
         [
             told(env, env.set_state(states[np.arange(first, first + n) % len(states)]))

@@ -7,7 +7,8 @@ import numpy as np
 import polars as pl
 
 from astray import world
-from astray.acting import Levels, Policy, Reward, paid, steps
+from astray.acting import Levels, Policy, Reward, steps
+from astray.envs.steps import paid
 from astray.game import Game, Variant
 from astray.validation import of_kind, shown
 from astray.world import World, WorldVariant

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from astray import acting, games
 from astray.acting import Asking, LevelByLevel, Policy, Step, check_ending, check_policy, steps
-from astray.envs.vector import PICTURES, picture
+from astray.envs.pictures import PICTURES, picture
 from astray.envs.worlds import WorldVectorEnv
 from astray.files import write_aside
 from astray.game import Game, Variant

@@ -16,7 +16,6 @@ from tyro.conf import Positional, arg
 from astray import imports
 from astray.analysis.tables import write_table
 from astray.cli.arguments import (
-    NOBODY,
     NUMBERS,
     Agent,
     Json,
@@ -36,7 +35,7 @@ from astray.cli.arguments import (
     show,
 )
 from astray.cli.settings import Grouped, ungrouped
-from astray.envs.vector import PICTURES
+from astray.envs.pictures import PICTURES
 from astray.estimate import Estimate
 from astray.files import check_free, check_writable, write_aside
 from astray.training.config import Tracking
@@ -146,18 +145,13 @@ def evaluate(
     own = imports.find_each(rewards)
     how: dict[str, Any] = {"batch": batch, "solvable": not unsolvable, "longest": longest}
     how["rewards"] = own
-    if policy.policy is None:
-        policy.without_policy()
-        if not agents:
-            raise ValueError(NOBODY)
-        rules = tested.acting.open(agents[0])[1].find_game()
-        result = evaluate_runs(agents, played, pool=pool, **tested.words(), **how)
-    elif agents or tested.shift is None:
-        raise ValueError("--policy needs --shift, and --game or --world, and no agent")
-    else:
+    if policy.replaces(agents, "--shift", tested.shift):
         rules, player = policy.rules(), policy.make(tested.acting)
         test = {"variant": tested.variant, "knobs": pairs(tested.knobs)}
         result = evaluate_policies([player], rules, tested.shift, played, **test, **how)
+    else:
+        rules = tested.acting.open(agents[0])[1].find_game()
+        result = evaluate_runs(agents, played, pool=pool, **tested.words(), **how)
     if out:
         write_table(result.episodes, out)
     if json:

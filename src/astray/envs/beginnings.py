@@ -1,4 +1,4 @@
-"""The initial states of levels."""
+"""Environments whose levels are given, and the initial states of levels."""
 
 from collections.abc import Iterator, Mapping, Sequence, Sized
 from typing import Any
@@ -7,13 +7,32 @@ import numpy as np
 
 from astray import games
 from astray.envs.vector import GameVectorEnv
-from astray.game import Game, Variant
+from astray.envs.worlds import WorldVectorEnv
+from astray.game import OWN, Game, Variant
 from astray.level import Level
 from astray.record import level_numbers
 from astray.validation import of_kind
+from astray.world import World, WorldVariant
 
 Levels = Sequence[int] | np.ndarray | range | Mapping[str, Level]
 CHUNK = 1000  # levels begun at once
+
+
+def without_autoreset(
+    game: str | Game | World,
+    variant: str | Variant | WorldVariant,
+    n: int,
+    observation: Any,
+    art: str = OWN,
+    longest: int | None = None,
+) -> Any:
+    """Return `n` environments of a game or a `World`, in which a reset alone begins an episode."""
+    if isinstance(game, World):
+        return WorldVectorEnv(game, game.variant(variant), n, longest)
+    assert not isinstance(variant, WorldVariant)
+    return GameVectorEnv(
+        game, variant, n, observation=observation, art=art, autoreset_mode="Disabled"
+    )
 
 
 def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> np.recarray:

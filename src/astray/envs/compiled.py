@@ -17,6 +17,9 @@ from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
 
 LOG = logging.getLogger("astray")
 SILENT = 2.0  # seconds of compiling before it is announced
+# What `loops.run` is given in place of actions and results by commands that have none.
+NUMBERS, FLAGS = np.empty(0, np.int64), np.empty(0, bool)
+NO_RESULTS = np.empty(0), FLAGS, FLAGS
 
 
 def compiled_loop(game: Game, art: str = OWN) -> Callable:

@@ -14,10 +14,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from astray import games
-from astray.envs.compiled import compiled_loop
+from astray.envs.compiled import FLAGS, NO_RESULTS, NUMBERS, compiled_loop
 from astray.envs.infos import Columns, Info, merged, objects
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
-from astray.envs.pool import Pool, alone, most_threads
+from astray.envs.pictures import picture
+from astray.envs.pool import Pool, most_threads
 from astray.game import OWN, Game, Variant
 from astray.level import Level
 from astray.memory import check_memory
@@ -27,7 +28,6 @@ from astray.validation import MOST, bounded, integers, of_kind, one_of
 IMAGE = 64  # pixels a side of what the agent sees
 COPIES = 6  # of an observation: four in the batch's space, the last one, the one at an end
 PICTURE = 512  # pixels a side of what people see
-PICTURES = (1, 4096)  # pixels a side of a picture, at least and at most
 MODES = {
     AutoresetMode.NEXT_STEP: NEXT_STEP,
     AutoresetMode.SAME_STEP: SAME_STEP,
@@ -35,8 +35,6 @@ MODES = {
 }
 MOST_SEED = 2**63 - 1
 OPTIONS = ("level", "state", "reset_mask")  # of a reset
-NUMBERS, FLAGS = np.empty(0, np.int64), np.empty(0, bool)
-NO_RESULTS = np.empty(0), FLAGS, FLAGS
 Observation = Literal["image", "symbolic"]
 
 
@@ -369,32 +367,6 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         orders, seen = (self._mode, what, actions), (observations, self._final_states, self._final)
         arguments = self._states, self._looks, self._source, orders, seen, results
         return self._pool.run(self._loop, arguments)
-
-
-def picture(
-    game: str | Game, variant: Variant, states: np.ndarray, pixels: int, art: str = OWN
-) -> np.ndarray:
-    """Return images of `states` [N] at any scale, [N, pixels, pixels, 3] uint8.
-
-    Raises:
-        ValueError: If a state or the number of pixels is invalid.
-    """
-    game = games.find(game)
-    variant = game.variant(variant)
-    bounded("pixels", pixels, *PICTURES)
-    game.check(states, variant, art)
-    looks, loop = game.drawn(art), compiled_loop(game, art)
-    size = len(states) * 3 * pixels**2 + math.prod(looks.scene_shape(variant, pixels))
-    check_memory(size, f"{len(states):,} pictures of {pixels} x {pixels} pixels")
-    scene = np.empty((1, *looks.scene_shape(variant, pixels)), np.uint8)
-    images = np.empty((len(states), pixels, pixels, 3), np.uint8)
-    params, as_set = variant.records(), np.full(1, AS_SET)
-    shown = looks.art(variant, pixels), False, scene
-    for k in range(len(states)):
-        one = states[k : k + 1].copy().view(np.ndarray)  # may be written to
-        source, seen = (params, NUMBERS, 0, 1, one[:0]), (images[k : k + 1], one, images)
-        loop(one, shown, source, (DISABLED, as_set, NUMBERS), seen, NO_RESULTS, *alone())
-    return images
 
 
 def _checked(levels: Any) -> tuple[int, int, np.ndarray]:

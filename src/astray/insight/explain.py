@@ -18,7 +18,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label, load_shift
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Model, Opaque, check_network
-from astray.envs.vector import picture
+from astray.envs.pictures import picture
 from astray.figures.grids import Picture, images
 from astray.figures.style import save
 from astray.files import check_free

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from astray.envs.vector import picture
+from astray.envs.pictures import picture
 from astray.figures.grids import Picture, images
 from astray.figures.style import save
 from astray.game import OWN

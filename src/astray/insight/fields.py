@@ -13,18 +13,17 @@ import functools
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from typing import Any
 
 import numpy as np
 import polars as pl
 
 from astray import games
-from astray.acting import Answer, Levels, Onward, initial_states
+from astray.acting import Levels, initial_states
 from astray.analysis.critic import ask, observe, policy_and_value
 from astray.analysis.trained import Model, Opaque
-from astray.envs.vector import GameVectorEnv
 from astray.game import Game, Variant
+from astray.insight.actions import effects, outcomes
 from astray.level import EMPTY, Cell, Level, check_cell
 from astray.record import trusted
 from astray.validation import of_kind, shown
@@ -357,40 +356,6 @@ def drawn(game: Game, variant: Variant, levels: Levels) -> Iterator[Level]:
     game.check(states, variant)
     for s in trusted(states):
         yield Level.of(game, variant, s)
-
-
-def outcomes(game: str | Game, variant: str | Variant, states: np.ndarray) -> np.ndarray:
-    """Return the agent's centre after each action in `states` [N]: [N, A, 2], in cells.
-
-    It comes from the rules, with the random numbers of the states.
-    """
-    found = games.find(game)
-    return np.stack([found.places.centre(s) for s in _after(found, variant, states)], 1)
-
-
-def _after(game: Game, variant: str | Variant, states: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield the successors of `states` [N] for each action."""
-    count = len(states)
-    shown_as = "symbolic" if game.symbols else "image"  # symbols take less time
-    env = GameVectorEnv(game, variant, count, observation=shown_as, autoreset_mode="Disabled")
-    for action in range(len(game.actions)):
-        onward = Onward(env, env.set_state(states))
-        yield onward.step(0, 0, Answer(np.full(count, action))).after.copy()
-    env.close()
-
-
-def effects(game: str | Game, variant: str | Variant, states: np.ndarray) -> np.ndarray:
-    """Return for `states` [N] and each action the first action with the same next state, [N, A].
-
-    Some actions are always equivalent, and others in single states, such as two moves into walls.
-    """
-    found = games.find(game)
-    first = np.empty((len(states), len(found.actions)), np.int64)
-    seen: list[dict[bytes, int]] = [{} for _ in states]
-    for action, after in enumerate(_after(found, variant, states)):
-        for k, s in enumerate(after):
-            first[k, action] = seen[k].setdefault(sha256(s.tobytes()).digest(), action)
-    return first
 
 
 def cell_of(level: Level, goal: str) -> Cell | None:

@@ -15,9 +15,9 @@ from astray.analysis.critic import ask, visit
 from astray.analysis.runs import open_run, shift_of
 from astray.analysis.trained import Agent, Network, Opaque, check_network
 from astray.game import Game, Variant, knobs
+from astray.insight.actions import effects
 from astray.insight.activations import layers
 from astray.insight.episode import GAMMA, LAMBDA
-from astray.insight.fields import effects
 from astray.lab import steering
 from astray.lab.messages import Message
 from astray.lab.worlds import World

@@ -13,7 +13,7 @@ import numpy as np
 from astray import games
 from astray.analysis.critic import ask, observe
 from astray.analysis.trained import Opaque, check_network
-from astray.envs.vector import picture
+from astray.envs.pictures import picture
 from astray.game import Game, knobs
 from astray.lab import agents, goals
 from astray.lab.agents import Agents, rounded

@@ -14,6 +14,7 @@ import numpy as np
 from astray import games, grid
 from astray.acting import Asking, Onward, Policy, Step, initial_states, play
 from astray.analysis.replay import Script
+from astray.envs.beginnings import without_autoreset
 from astray.envs.vector import GameVectorEnv
 from astray.game import Game, Variant
 from astray.lab.messages import Message
@@ -204,6 +205,4 @@ def play_on(episode: Episode | None, world: World, actions: Sequence[int]) -> Ep
 def environment(world: World, observation: Any = None, art: str = "own") -> GameVectorEnv:
     """Return one environment of the world's game."""
     shown = observation or ("symbolic" if world.game.symbols else "image")
-    return GameVectorEnv(
-        world.game, world.variant, 1, observation=shown, art=art, autoreset_mode="Disabled"
-    )
+    return without_autoreset(world.game, world.variant, 1, shown, art)

@@ -16,10 +16,10 @@ from astray.agents.names import check_network
 from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
 from astray.training import older
-from astray.training.named import name_of_played, name_of_variant
+from astray.training.named import name_of_variant, stored
 from astray.training.settings import SCORING, Fast, Sampling, check, otherwise
-from astray.validation import of_kind, one_of
-from astray.world import World, WorldVariant
+from astray.validation import one_of
+from astray.world import World
 
 if TYPE_CHECKING:
     Named = Any  # a name, or the thing that has it; the settings hold the name
@@ -163,16 +163,9 @@ class Config:
 
     def _take_objects(self) -> None:
         """Replace objects by the names, knobs and records that stand for them."""
-        given: dict[str, Any] = {"game": name_of_played(self.game)}
+        given = stored(self.game, self.variant, self.knobs)
         if isinstance(self.sampler, str):
             given["sampler"] = Sampling(self.sampler)
-        if isinstance(self.variant, Variant):
-            of_kind("knobs", self.knobs, Mapping)
-            changed = self.variant.with_knobs(self.knobs)
-            given["variant"], given["knobs"] = name_of_variant(world.find(self.game), changed)
-        if isinstance(self.variant, WorldVariant):
-            given["variant"] = self.variant.name
-            given["knobs"] = {**self.variant.knobs, **self.knobs}
         for name, value in given.items():
             object.__setattr__(self, name, value)
         if isinstance(self.validation, Variant):
@@ -259,10 +252,9 @@ class Config:
         Raises:
             ValueError: If it cannot have `changes`.
         """
-        found = self.find_game().variant(variant)
-        if not isinstance(variant, str):
-            return found.with_knobs(changes or {})
-        return found.with_knobs(self.knobs_for(variant, changes or {}))
+        if isinstance(variant, str):
+            changes = self.knobs_for(variant, changes or {})
+        return self.find_game().variant(variant).with_knobs(changes or {})
 
     def played_variant(
         self, variant: str | Variant, changes: Mapping[str, Any] | None = None

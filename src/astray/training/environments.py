@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from astray.acting import Answer, Step
+from astray.acting import Answer
 from astray.envs.restarting import Restarting
+from astray.envs.steps import Step
 from astray.envs.vector import GameVectorEnv
 from astray.training.config import Config
 from astray.world import WorldVariant

@@ -1,13 +1,13 @@
 """Names that stand for games and variants in settings."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
 from astray import games, imports, world
 from astray.game import Game, Variant, knobs
 from astray.validation import of_kind
-from astray.world import World
+from astray.world import World, WorldVariant
 
 
 def name_of_game(game: Game) -> str:
@@ -38,6 +38,22 @@ def name_of_played(game: Any) -> Any:
         return game
     world.register(game)
     return game.name
+
+
+def stored(game: Any, variant: Any, knobs: Any) -> dict[str, Any]:
+    """Return those of the settings game, variant and knobs in which names stand for objects.
+
+    Raises:
+        ValueError: If an object has no name that finds it, or the knobs are no mapping.
+    """
+    given = {"game": name_of_played(game)}
+    if isinstance(variant, Variant):
+        of_kind("knobs", knobs, Mapping)
+        name, changed = name_of_variant(world.find(game), variant.with_knobs(knobs))
+        return given | {"variant": name, "knobs": changed}
+    if isinstance(variant, WorldVariant):
+        return given | {"variant": variant.name, "knobs": {**variant.knobs, **knobs}}
+    return given
 
 
 def name_of_variant(game: Game, variant: Variant) -> tuple[str, dict[str, Any]]:

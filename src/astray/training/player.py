@@ -8,9 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from astray.acting import Answer, Reward, Turn, paid
+from astray.acting import Answer, Turn
 from astray.envs import restarting
 from astray.envs.restarting import Restarting
+from astray.envs.steps import Reward, paid
 from astray.game import Variant
 from astray.training import parallel, ppo
 from astray.training.config import Config

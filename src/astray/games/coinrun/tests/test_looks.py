@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astray.envs.vector import GameVectorEnv, picture
+from astray.envs.pictures import picture
+from astray.envs.vector import GameVectorEnv
 from astray.games.coinrun import GAME, backdrops, draw
 from astray.games.coinrun.rules import COIN, CRATE, SAW, TOP, WALL
 from astray.games.coinrun.variants import VARIANTS

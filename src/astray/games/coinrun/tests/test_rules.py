@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astray.envs.vector import GameVectorEnv, picture
+from astray.envs.pictures import picture
+from astray.envs.vector import GameVectorEnv
 from astray.games.coinrun import GAME, measures
 from astray.games.coinrun.variants import VARIANTS, CoinRun
 from astray.level import Level

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from astray.art import own
-from astray.envs.vector import GameVectorEnv, picture
+from astray.envs.pictures import picture
+from astray.envs.vector import GameVectorEnv
 from astray.games.keys import GAME
 from astray.games.keys.draw import ART, STRIPS
 from astray.games.keys.rules import CHEST, KEY

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astray.envs.vector import GameVectorEnv, picture
+from astray.envs.pictures import picture
+from astray.envs.vector import GameVectorEnv
 from astray.games.maze import GAME
 from astray.games.maze.variants import COLOURS, SHAPES, VARIANTS
 from astray.kernel.maze import WALL

@@ -1,0 +1,61 @@
+"""A step of several episodes, and what it is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from astray.envs.rows import rows
+from astray.validation import shown
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One step of each running episode, [n].
+
+    An episode's first step is the one after its level began; `ended` is true in its last one.
+
+    Attributes:
+        level: [n], position of the level in the given order.
+        before: [n] states in which the step began; the policy saw `observations` of them.
+        after: [n] states after the step, valid until the next step; `seen` are observations of
+            them.
+        extra: Arrays [n] that the policy recorded with the step, by name.
+    """
+
+    level: np.ndarray
+    before: np.ndarray
+    observations: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    after: np.ndarray
+    seen: np.ndarray
+    terminated: np.ndarray
+    ended: np.ndarray  # terminated, truncated, or an event of `until` happened
+    extra: Mapping[str, np.ndarray]
+
+    def of(self, which: np.ndarray) -> Step:
+        """Return the step restricted to some episodes, `which` [n] bool."""
+        return Step(**rows(vars(self), which))
+
+
+# A reward of one's own, for training and evaluation: the rewards [n] of a step. The game's are
+# `step.rewards`, which it may replace or add to.
+Reward = Callable[[Step], np.ndarray]
+
+
+def paid(reward: Reward, step: Step) -> np.ndarray:
+    """Return a reward of the user's own, [n] float64.
+
+    Raises:
+        ValueError: If it is anything but n finite numbers.
+    """
+    found, n = np.asarray(reward(step)), len(step.rewards)
+    if found.shape != (n,) or found.dtype.kind not in "biuf" or not np.isfinite(found).all():
+        raise ValueError(
+            f"a reward must return {n} finite numbers, one for each episode of the step; got "
+            f"{shown(found)}"
+        )
+    return found.astype(np.float64)
