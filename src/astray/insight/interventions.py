@@ -274,7 +274,7 @@ def _check_cell(cell: Any, names: Sequence[str], sizes: Sequence[int]) -> None:
 
 
 def _channels(
-    agent: AnyModel, layer: str, channels: Sequence[int] | None
+    agent: Model, layer: str, channels: Sequence[int] | None
 ) -> tuple[tuple[int, ...], np.ndarray]:
     """Return the shape of a layer, and `channels` of it as an array; all channels for None."""
     shape = check_layers(agent, [layer])[layer]
