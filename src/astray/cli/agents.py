@@ -146,6 +146,7 @@ def evaluate(
     how: dict[str, Any] = {"batch": batch, "solvable": not unsolvable, "longest": longest}
     how["rewards"] = own
     if policy.replaces(agents, "--shift", tested.shift):
+        assert tested.shift is not None
         rules, player = policy.rules(), policy.make(tested.acting)
         test = {"variant": tested.variant, "knobs": pairs(tested.knobs)}
         result = evaluate_policies([player], rules, tested.shift, played, **test, **how)

@@ -44,4 +44,5 @@ def audit(
     if policy.replaces(agent, "--shift", shift):
         print(write(policy.make(acting), policy.rules(), shift, **how))
     else:
+        assert agent is not None
         print(write(agent, shift=shift, **vars(acting), **how))
