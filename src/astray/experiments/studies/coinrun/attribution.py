@@ -12,7 +12,7 @@ from astray.analysis.critic import observe, visit
 from astray.analysis.estimates import Estimate, group_means, mean_of, minus
 from astray.analysis.runs import open_run
 from astray.analysis.trained import Agent
-from astray.envs.vector import picture
+from astray.envs.pictures import picture
 from astray.experiments import outcomes
 from astray.experiments.levels import levels_of
 from astray.experiments.spec import Experiment, Test, Work
