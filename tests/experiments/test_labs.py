@@ -65,7 +65,7 @@ def test_a_report_has_the_command_and_the_link(links, tmp_path):
 
 
 def test_the_command_quotes_the_folder():
-    assert replace(SCENE, run="a b").command.startswith("astray lab 'a b' --variant")
+    assert replace(SCENE, run="a b").command.startswith('astray lab "a b" --variant')
     mouse = replace(SCENE, run=folders.find("maze-corner"))
     assert mouse.command.startswith("astray lab maze-corner --variant")
 

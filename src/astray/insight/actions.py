@@ -1,4 +1,4 @@
-"""What each action does in given states."""
+"""Effects of each action in given states."""
 
 from collections.abc import Iterator
 from hashlib import sha256

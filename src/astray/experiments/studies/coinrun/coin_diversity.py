@@ -224,14 +224,7 @@ def unmet(work: Work) -> str:
     return "; ".join(told) + ". Others are in a training under another number, as short ones often."
 
 
-def plan(
-    size: Size,
-    fractions: tuple[int, ...],
-    seeds: int,
-    levels: int,
-    differences: str,
-    first_seed: int = 0,
-) -> Plan:
+def plan(size: Size, fractions: tuple[int, ...], seeds: int, levels: int, differences: str) -> Plan:
     """Return a plan with agents for each fraction of random coins; 0 is shared by all studies."""
     agent = _agents.AGENTS[size]
     agents = {
@@ -243,7 +236,6 @@ def plan(
     return Plan(
         agents=agents,
         seeds=seeds,
-        first_seed=first_seed,
         tests=TESTS,
         levels=levels,
         differences=differences,
@@ -263,7 +255,6 @@ EXPERIMENT = Experiment(
             5,
             500,
             f"three of the eight fractions; {_agents.DIFFERENCES['smoke']}",
-            first_seed=20,
         ),
         "pixels": plan(
             "pixels",
