@@ -1,4 +1,4 @@
-"""Where compiled code is in tests of its cache."""
+"""The folder of compiled code in tests of its cache."""
 
 import pytest
 
@@ -19,5 +19,5 @@ def alone(tmp_path, monkeypatch):
 
 @pytest.fixture
 def code(tmp_path):
-    """Where the compiled code of this process is."""
+    """The folder of this process's compiled code."""
     return tmp_path / "home" / "astray" / jit.version_digest()

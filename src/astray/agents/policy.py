@@ -27,6 +27,7 @@ from astray.validation import brief
 
 GROUP = "astray.networks"  # of entry points, by which installed packages offer theirs
 FORMAT = 1  # of the files; goes up when an older version could not read them
+ROUNDED = 1e-3  # part of a logit by which rounding may change it
 SEQUENCES = ("shape", "largest", "widths")  # fields of an architecture that JSON has as lists
 
 
@@ -239,3 +240,20 @@ def outputs(
             raise ValueError(f"a network must give {chunk} rows, one per observation; got {wrong}")
         found.append([x[:n] for x in answer])
     return tuple(torch.cat(column) for column in zip(*found, strict=True))
+
+
+def check_independent(
+    network: Any, observation: Tensor, logits: Tensor, chunk: int, name: str
+) -> None:
+    """Check that `logits` [A] of one observation [...] are the same in a batch of its copies.
+
+    Raises:
+        ValueError: If they are not.
+    """
+    copies = observation.expand(chunk, *observation.shape)
+    change = (outputs(network, copies, chunk)[0][0] - logits).abs().max()
+    if change > ROUNDED * logits.abs().max():
+        raise ValueError(
+            f"{name} must give logits that depend on one observation alone; those of the first "
+            f"change by {change:.2g} with the others of its batch"
+        )

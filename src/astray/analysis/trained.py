@@ -32,7 +32,6 @@ from astray.world import World
 # Observations per forward pass: more are not faster for a large network, and padding a batch to a
 # multiple of it costs time.
 AT_ONCE = {"symbolic": 64, "image": 16}
-ROUNDED = 1e-3  # part of a logit by which rounding may change it
 IMAGE = 64 * 64  # numbers in an observation from which on it is passed on as an image
 # Multiplications per forward pass below which a second thread costs more than it saves, up to five
 # times as much on busy processors.
@@ -292,13 +291,7 @@ class Network:
         seen = "image" if math.prod(self.space.shape) >= IMAGE else "symbolic"
         logits, values = policy.outputs(self.asked, here, AT_ONCE[seen])
         if len(here) and not self._is_checked:
-            among_copies = here[:1].expand(AT_ONCE[seen], *here.shape[1:])
-            apart = policy.outputs(self.asked, among_copies, AT_ONCE[seen])[0][0] - logits[0]
-            if apart.abs().max() > ROUNDED * logits[0].abs().max():
-                raise ValueError(
-                    f"{self.name} must give logits that depend on one observation alone; those of "
-                    f"the first change by {apart.abs().max():.2g} with the others of its batch"
-                )
+            policy.check_independent(self.asked, here[0], logits[0], AT_ONCE[seen], self.name)
             self._is_checked = True
         return logits, values
 
