@@ -374,7 +374,20 @@ def api_pages() -> Iterator[tuple[str, str]]:
         by_page.setdefault(api_page(module), []).append(module)
     for page, names in sorted(by_page.items(), key=lambda item: item[0] != api_page("astray")):
         title = "astray" + ("." + Path(page).stem if page != api_page("astray") else "")
-        yield page, f"# {title}\n\n" + "\n\n".join(f"::: {name}" for name in names)
+        parts = [f"# {title}", *(f"::: {name}" for name in names)]
+        if names[0] == "astray":
+            parts.insert(2, face())
+        yield page, "\n\n".join(parts)
+
+
+def face() -> str:
+    """A table of the names of `astray` itself, with links to their descriptions."""
+    rows = []
+    for name, where in sorted(astray.FACE.items(), key=lambda item: item[0].lower()):
+        there = getattr(astray, name)
+        about = (inspect.getdoc(there) or "").partition("\n")[0] if callable(there) else ""
+        rows.append((f"[`astray.{name}`][{where.replace(':', '.')}]", about))
+    return table(("name", "purpose"), rows)
 
 
 def modules(package: ModuleType) -> Iterator[str]:
@@ -385,7 +398,9 @@ def modules(package: ModuleType) -> Iterator[str]:
 
 
 def table(heading: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    lines = [heading, ["---"] * len(heading), *rows]
+    """A table in Markdown, without the columns that are empty."""
+    columns = [column for column in zip(heading, *rows, strict=True) if any(column[1:])]
+    lines = zip(*((name, "---", *cells) for name, *cells in columns), strict=True)
     return "\n".join(f"| {' | '.join(str(cell) for cell in line)} |" for line in lines)
 
 

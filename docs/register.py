@@ -7,7 +7,7 @@ computed from the plans.
 
 import math
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,13 +32,7 @@ def page() -> str:
         lines += [f"## `{name}`: {whole.title}", "", _about(study, whole.sizes), ""]
         lines += [f"- {change}" for change in study.get("changes", [])]
         lines += [""] if study.get("changes") else []
-        lines += ["| claim | supported if | set | |", "| --- | --- | --- | --- |"]
-        lines += [
-            f"| {one['sentence']} | {one['rule'] or 'see the report'} | {one['set']} | "
-            f"{one.get('note', '')} |"
-            for one in study["claims"]
-        ]
-        lines += ["", *_plans(whole.sizes), ""]
+        lines += [*_claims(study["claims"]), "", *_plans(whole.sizes), ""]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -54,6 +48,18 @@ def _about(study: Mapping[str, Any], sizes: Mapping[Size, Plan]) -> str:
             return f"{looked} at other seeds:"
         return f"*Exploratory.* {looked}:"
     return when if study["before"] == "yes" else f"*Exploratory.* {when}"
+
+
+def _claims(claims: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Return the lines of a table of claims, with a column of notes if there are any."""
+    columns = {"claim": "sentence", "supported if": "rule", "set": "set"}
+    if any("note" in one for one in claims):
+        columns["note"] = "note"
+    yield f"| {' | '.join(columns)} |"
+    yield f"|{' --- |' * len(columns)}"
+    for one in claims:
+        said = {**one, "rule": one["rule"] or "see the report"}
+        yield f"| {' | '.join(said.get(key, '') for key in columns.values())} |"
 
 
 def _plans(sizes: Mapping[Size, Plan]) -> Iterator[str]:

@@ -70,3 +70,12 @@ def test_axe_finds_nothing_on_a_page_of_the_site(page, width, site, chrome):
         assert violations(shown) == []
     assert shown.evaluate("document.documentElement.scrollWidth") <= width
     context.close()
+
+
+def test_a_header_without_words_has_no_border(site, chrome):
+    context = chrome.new_context()
+    shown = context.new_page()
+    shown.goto((site / "published.html").as_uri())
+    widths = "(cells) => cells.map((one) => getComputedStyle(one).borderTopWidth)"
+    assert {*shown.eval_on_selector_all("thead td", widths)} == {"0px"}
+    context.close()

@@ -1,7 +1,9 @@
 """The one loop in which a policy plays, in training and afterwards.
 
+```python
 for step in steps(policy, "maze", "anywhere", range(1000)):
     lengths[step.level[step.ended]] = step.after["time"][step.ended]
+```
 """
 
 from __future__ import annotations

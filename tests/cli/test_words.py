@@ -36,7 +36,9 @@ def test_every_verb_has_a_sentence_and_an_example_that_can_be_typed(verb):
     function = verbs.find(verb)
     text = inspect.getdoc(getattr(function, "func", function))
     assert re.match(r"[A-Z][^\n]*\.\n", text)
-    (example,) = re.findall(r"^Example: astray (.*)$", text, re.MULTILINE)
+    about, (example,) = text.split("Example:")[0], re.findall(r"^Example: astray (.*)$", text, re.M)
+    # tyro makes a line of each paragraph, which a terminal of 80 columns would break within words.
+    assert max(len(" ".join(part.split())) for part in about.split("\n\n")) <= 80
     name, *words = shlex.split(example)
     assert name == verb
     tyro.cli(silent(verb), args=words, config=verbs.MARKERS)
@@ -78,6 +80,10 @@ def test_set_means_knobs_and_settings_by_their_names():
     assert (both.learning_rate, both.knobs) == (1e-4, {"world": 5, "largest": 5})
     assert pairs((("variant.world=5",),)) == {"world": "5"}
     assert changed(base, pairs((("variant.largest=5", "anneal=false"),))).knobs == {"largest": 5}
+    shop = PRESETS["small"].changed(
+        game="pottery", variant="corner"
+    )  # has a knob named as a setting
+    assert changed(shop, pairs((("reward=careful",),))).knobs == {"reward": "careful"}
     assert axes(["lr=1e-4,5e-4", "largest=3,5"]) == axes(["lr=1e-4,5e-4", "variant.largest=3,5"])
     with pytest.raises(ValueError, match="unknown setting or knob 'squid'; there are: game"):
         changed(base, {"squid": 3})

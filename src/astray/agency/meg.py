@@ -125,16 +125,16 @@ class Directedness:
 def goal_directedness(process: Process, policy: np.ndarray, goal: int) -> Directedness:
     """Measure how goal-directed a policy is towards reaching a state.
 
-    >>> after = np.array([[1, 2], [1, 1], [2, 2]])  # one decision: to state 1, or to state 2
-    >>> process = Process(after, np.array([[True, True], [False] * 2, [False] * 2]), start=0)
-    >>> policy = np.array([[0.9, 0.1], [0.5, 0.5], [0.5, 0.5]])
-    >>> round(goal_directedness(process, policy, 1).nats, 3)  # log 2 minus the entropy of (.9, .1)
-    0.368
+    Examples:
+        >>> after = np.array([[1, 2], [1, 1], [2, 2]])  # one decision: to state 1, or to state 2
+        >>> process = Process(after, np.array([[True, True], [False] * 2, [False] * 2]), start=0)
+        >>> policy = np.array([[0.9, 0.1], [0.5, 0.5], [0.5, 0.5]])
+        >>> round(goal_directedness(process, policy, 1).nats, 3)  # log 2 - entropy of (.9, .1)
+        0.368
 
     Args:
         process: The decision process.
-        policy: [S, A] float, the probability of each action in each state; over the possible
-            actions of a state they sum to 1.
+        policy: [S, A] float, probabilities of actions; those possible in a state sum to 1.
         goal: The state whose utility is 1; the episode ends there.
 
     Returns:

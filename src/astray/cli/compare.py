@@ -38,7 +38,7 @@ def compare(
 ) -> None:
     """Write a page that compares agents and other policies in the same levels.
 
-    It shows outcomes and differences with intervals, learning curves and a video, side by side.
+    It shows rates and differences with intervals, learning curves and a video.
 
     Example: astray compare maze-corner walk:cheese random --shift corner-small
 

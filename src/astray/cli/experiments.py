@@ -24,7 +24,7 @@ Benchmark = Literal[
 
 
 def list_(json: Json = False) -> None:
-    """List games, variants, shifts, experiments, pretrained and imported agents, and presets.
+    """List games, variants, shifts, experiments, agents and presets.
 
     Example: astray list
     """
@@ -136,10 +136,9 @@ def bench(
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",
 ) -> None:
-    """Measure speed in ratios within one run, and against other libraries where possible.
+    """Measure speed in ratios within one run, also against other libraries.
 
-    The benchmarks need a clone of the repository. "eyes" compares what networks learn to see in
-    equal times.
+    It needs a clone of the repository. "eyes" is how well networks learn to see.
 
     Example: astray bench environments
 

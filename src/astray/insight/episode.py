@@ -1,8 +1,6 @@
 """One episode from within: value, policy, advantage and visible objects, step by step.
 
-found = along(agent, "coin-anywhere", 200_003)
-found.table  # a row for each step
-figure(found)
+`along(agent, "coin-anywhere", 200_003).table` has a row for each step, and `figure` draws it.
 """
 
 from collections.abc import Mapping

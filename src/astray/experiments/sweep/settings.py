@@ -131,7 +131,7 @@ def changed(base: Config, values: Mapping[str, Any]) -> Config:
     settings, changes = {}, dict(base.knobs)
     for word, given in values.items():
         name, knob = SHORT.get(word, word), word.removeprefix(KNOB)
-        if name in known:
+        if name in known and name not in there:
             settings[name] = value(given) if isinstance(given, str) else given
         else:
             one_of("setting or knob", knob, (*known, *there))
