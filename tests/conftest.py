@@ -15,6 +15,19 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.get_closest_marker("waits") is None)
 
 
+@pytest.fixture(autouse=True)
+def _as_many_threads():
+    """Leaves torch the threads that it had: with a second one, what follows takes ten times longer.
+
+    Each waits for the other, and keeps a core busy.
+    """
+    torch = sys.modules.get("torch")
+    before = torch.get_num_threads() if torch else None
+    yield
+    if torch and torch.get_num_threads() != before:
+        torch.set_num_threads(before)
+
+
 @pytest.fixture(scope="session")
 def chrome():
     with browser() as found:

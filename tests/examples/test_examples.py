@@ -85,8 +85,9 @@ def test_the_page_on_extending_runs_as_it_stands(tmp_path):
     assert '"update/size"' in (tmp_path / "mouse" / "metrics.jsonl").read_text("utf-8")
 
 
-def test_the_page_on_worlds_runs_as_it_stands(tmp_path):
-    said = run_page("worlds", 9, tmp_path)
+def test_the_page_on_worlds_runs_as_it_stands_with_fewer_steps(tmp_path):
+    # A rollout of 2,048 for each of three agents, in the place of two; none is looked at.
+    said = run_page("worlds", 9, tmp_path, lambda text: text.replace("learn(4_000)", "learn(1)"))
     assert "right misgeneralizes: it pursues end, not bell" in said
     assert (tmp_path / "reports" / "the-bell-smoke" / "report.html").exists(), said
 

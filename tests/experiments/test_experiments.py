@@ -22,6 +22,7 @@ from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.runs import open_run
 from astray.experiments import catalogue, run
 from astray.experiments.outcomes import rate
+from astray.experiments.studies.coinrun import attribution
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
 from astray.report import page as report
 from astray.report.claims import Claim, above
@@ -29,7 +30,6 @@ from astray.training import checkpoint
 from astray.training.config import Config
 from helpers import registered
 from helpers.edits import edit
-from helpers.killed import SHORT
 from helpers.miniature import miniature, train_here
 from helpers.processes import environment
 from helpers.trainings import TINY
@@ -57,9 +57,20 @@ TRAINED = [
 ]
 # A network of patches, and one that is distilled from the symbols of another.
 TRAINED.append(("inherited-goals", "pixels"))
-# All but the levels is as in minimax-regret.
-TRAINED.remove(LIKE_ANOTHER := ("minimax-regret-dish", "smoke"))
-TRAINED.append(pytest.param(*LIKE_ANOTHER, marks=pytest.mark.thorough))
+# Their agents, tests or claims are of the kinds of another study, and what each of them alone
+# computes has tests on made-up tables.
+LIKE_ANOTHER = {
+    ("early-or-late", "smoke"): "minimax-regret",
+    ("inherited-goals", "smoke"): "its other size",
+    ("maze-region", "smoke"): "maze-corner",
+    ("minimax-regret-dish", "smoke"): "minimax-regret, but for the levels",
+    ("permeable-wall", "smoke"): "critic-value",
+    ("pixel-networks", "pixels"): "inherited-goals",
+    ("pooled-places", "pixels"): "inherited-goals",
+}
+TRAINED = [
+    pytest.param(*one, marks=pytest.mark.thorough if one in LIKE_ANOTHER else ()) for one in TRAINED
+]
 
 
 def of_report(found):
@@ -77,8 +88,11 @@ def in_miniature(name, plan, monkeypatch):
         monkeypatch.setattr(asking_for_help, "open_run", open_for_short)
         return replace(plan, levels=2)
     monkeypatch.setattr(reward_ensembles, "ENSEMBLES", 2)
-    # All but the levels is as in minimax-regret, which has two agents of each name.
-    return replace(plan, seeds=1) if name in ("minimax-regret-dish", "pixel-networks") else plan
+    monkeypatch.setattr(attribution, "NETWORKS", 2)
+    if name in ("agency", "attribution"):  # which look at every step of their episodes
+        plan = replace(plan, levels=8)
+    many = ("minimax-regret", "minimax-regret-dish", "pixel-networks")  # of agents' names
+    return replace(plan, seeds=1) if name in many else plan
 
 
 def open_for_short(folder):
@@ -133,6 +147,12 @@ def reports(trained, tmp_path):
     return shutil.copytree(trained, tmp_path / "reports")
 
 
+@pytest.fixture
+def unwritten(monkeypatch):
+    """No page is written, which takes as long as all before it."""
+    monkeypatch.setattr(report, "write", lambda *_: None)
+
+
 def test_videos_are_of_outcomes_that_came_about(reports, monkeypatch):
     whole = catalogue.load("maze-corner")
     plan = replace(miniature(whole.sizes["smoke"]), levels=60)
@@ -149,6 +169,7 @@ def test_videos_are_of_outcomes_that_came_about(reports, monkeypatch):
         assert mine.filter(level=int(level))["outcome"].to_list() == [outcome.lower()]
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_another_plan_computes_anew_and_shares_the_agents(reports, monkeypatch):
     whole = catalogue.load("maze-corner")
     plan = replace(miniature(whole.sizes["smoke"]), seeds=1)
@@ -163,6 +184,7 @@ def test_another_plan_computes_anew_and_shares_the_agents(reports, monkeypatch):
     assert len(agents) == 1
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_other_agents_and_other_code_compute_anew(reports, monkeypatch):
     whole = catalogue.load("maze-corner")
     small = replace(whole, sizes={"smoke": miniature(whole.sizes["smoke"])})
@@ -255,13 +277,15 @@ def test_tables_are_computed_anew_where_a_test_has_another_variant(tmp_path, mon
 
 @pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")
 def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
-    words = [sys.executable, "-m", "astray", "reproduce", "maze-corner", "--folder", str(tmp_path)]
-    process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
+    words = ["reproduce", "maze-corner", "--workers", "1", "--folder", str(tmp_path)]
+    process = subprocess.Popen([sys.executable, "-m", "astray", *words], stderr=subprocess.DEVNULL)
     config = catalogue.load("maze-corner").sizes["smoke"].config
     folder = run.run_folder(tmp_path, config)
-    wait_for((folder / "metrics.jsonl").exists, 60)
-    process.kill()
-    process.wait()
+    try:
+        wait_for((folder / "metrics.jsonl").exists, 60)
+    finally:  # else it would go on training for minutes
+        process.kill()
+        process.wait()
 
     def free():
         try:
@@ -285,12 +309,9 @@ run.reproduce("maze-corner", "smoke", pathlib.Path(sys.argv[1]))
 """
 TRAIN = """
 import pathlib, sys
-from helpers import registered
-from helpers.edits import edit
-from helpers.killed import SHORT
 from astray.training.loop import train
-from helpers import registered
-train(SHORT, pathlib.Path(sys.argv[1]), progress=False, wait=True)
+from helpers.trainings import TINY
+train(TINY, pathlib.Path(sys.argv[1]), progress=False, wait=True)
 """
 
 
@@ -309,31 +330,35 @@ def test_two_that_reproduce_the_same_at_once_both_come_to_its_end(reports):
 
 
 def test_a_training_that_another_process_does_is_waited_for(tmp_path):
-    with checkpoint.claim(tmp_path, SHORT):
+    with checkpoint.claim(tmp_path, TINY):
         second = begin(TRAIN, tmp_path)
         assert "is training in" in second.stderr.readline()
         assert second.poll() is None and not checkpoint.steps_saved(tmp_path)
     assert second.communicate() and second.returncode == 0
-    assert checkpoint.finished(tmp_path, SHORT)
+    assert checkpoint.finished(tmp_path, TINY)
+
+
+LINES = "agents/*/seed-*/metrics.jsonl"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs signals")
 @pytest.mark.parametrize(
     "first, sent, code, told",
     [
+        # `test_streams` interrupts a training.
         pytest.param("agents", signal.SIGINT, 130, "interrupted", marks=pytest.mark.thorough),
-        ("agents/*/seed-*/metrics.jsonl", signal.SIGINT, 130, "interrupted"),
+        pytest.param(LINES, signal.SIGINT, 130, "interrupted", marks=pytest.mark.thorough),
         # As timeout, systemd and Slurm do: it ends the trainings before they are told to end.
-        ("agents/*/seed-*/metrics.jsonl", signal.SIGTERM, 143, "terminated"),
+        (LINES, signal.SIGTERM, 143, "terminated"),
     ],
 )
 def test_an_interrupt_ends_all_trainings_in_a_line(first, sent, code, told, tmp_path):
     program = "from astray.cli import main; import sys; sys.argv = ['astray', 'reproduce', "
     program += "'maze-corner', '--folder', sys.argv[1]]; main()"
     process = begin(program, tmp_path, start_new_session=True)
-    wait_for(lambda: list(tmp_path.glob(first)), 100)
-    os.killpg(process.pid, sent)  # as a terminal does: to all of them
     try:
+        wait_for(lambda: list(tmp_path.glob(first)), 100)
+        os.killpg(process.pid, sent)  # as a terminal does: to all of them
         said = process.communicate(timeout=100)[1]
     finally:
         process.kill()

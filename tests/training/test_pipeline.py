@@ -118,7 +118,7 @@ def test_the_compiled_loss_is_the_plain_one(monkeypatch):
 
 @pytest.mark.parametrize(
     "config",
-    [TINY.changed(groups=2), PICTURES.changed(steps=256, channels_last=True, bfloat16=True)],
+    [TINY.changed(groups=2), PICTURES.changed(steps=96, channels_last=True, bfloat16=True)],
     ids=["groups", "bfloat16, channels last"],
 )
 def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeypatch):

@@ -28,12 +28,10 @@ def test_two_processes_cannot_train_in_one_folder(tmp_path):
         "from helpers.killed import CONFIG\nimport pathlib\nfrom astray.training.loop "
         f"import train\ntrain(CONFIG, pathlib.Path({str(tmp_path)!r}), progress=False)",
     ]
-    env = environment()
-    both = [subprocess.Popen(words, env=env, stderr=subprocess.PIPE, text=True) for _ in range(2)]
-    said = [process.communicate()[1] for process in both]
-    assert sorted(process.returncode for process in both) == [0, 1]
-    assert "another process is training in" in "".join(said)
-    assert checkpoint.finished(tmp_path, CONFIG)
+    with checkpoint.claim(tmp_path, CONFIG):  # which this process trains in
+        other = subprocess.run(words, env=environment(), capture_output=True, text=True)
+    assert other.returncode == 1 and "another process is training in" in other.stderr
+    assert not checkpoint.steps_saved(tmp_path)
 
 
 @pytest.fixture

@@ -27,7 +27,8 @@ class CircleEmbedding(nn.Module):
         if any(top != 1 for top in largest[: self.flags]):
             raise ValueError(f"planes of 0 and 1 must come first; got planes up to {largest}")
         self.planes, self.channels = len(largest), self.flags + 2 * (len(largest) - self.flags)
-        angle = torch.arange(256) * (2 * torch.pi / max(largest))
+        # On "meta" torch would load its compiler for this, which takes a second.
+        angle = torch.arange(256, device="cpu") * (2 * torch.pi / max(largest))
         circle = torch.stack([angle.cos(), angle.sin()]).float()
         circle[:, 0] = 0
         self.circle: Tensor

@@ -97,7 +97,7 @@ class Agent:
         check_words(self)
         self.network, self.architecture = policy.load(self.path, self.game, self.device)
         self.threads = torch.get_num_threads()
-        if is_own(self.architecture.name):  # others may not bear to be tried
+        if self.threads > 1 and is_own(self.architecture.name):  # others may not bear to be tried
             each = policy.products(self.network, self.architecture.shape, self.device)
             if each * AT_ONCE[self.observation] < FEW:
                 self.threads = 1
