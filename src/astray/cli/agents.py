@@ -145,7 +145,7 @@ def evaluate(
     own = imports.find_each(rewards)
     how: dict[str, Any] = {"batch": batch, "solvable": not unsolvable, "longest": longest}
     how["rewards"] = own
-    if policy.replaces(agents, "--shift", tested.shift):
+    if policy.replaces(agents, {"--shift": tested.shift}):
         assert tested.shift is not None
         rules, player = policy.rules(), policy.make(tested.acting)
         test = {"variant": tested.variant, "knobs": pairs(tested.knobs)}

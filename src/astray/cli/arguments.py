@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -150,29 +151,30 @@ class OwnPolicy:
             )
 
     def open(
-        self, agent: Path | None, acting: Acting, needs: str, there: Any
+        self, agent: Path | None, acting: Acting, needs: Mapping[str, Any]
     ) -> tuple[Policy, Any, Config | None]:
         """Return the agent, or this policy in its place, its game or world, and its settings.
 
         Raises:
             ValueError: As `replaces` does.
         """
-        if self.replaces(agent, needs, there):
+        if self.replaces(agent, needs):
             return self.make(acting), world.find(self.rules()), None
         assert agent is not None
         player, config = acting.open(agent)
         return player, config.find_game(), config
 
-    def replaces(self, agents: Any, needs: str, there: Any) -> bool:
+    def replaces(self, agents: Any, needs: Mapping[str, Any]) -> bool:
         """Return whether there is a policy, which plays in the place of `agents`.
 
         Raises:
-            ValueError: If neither or both are given, or a policy without the option that it
-                `needs`, which is `there`.
+            ValueError: If neither or both are given, or a policy without one of the options that it
+                `needs`.
         """
         if self.policy is not None:
-            if agents or not there:
-                raise ValueError(f"--policy needs {needs}, and --game or --world, and no agent")
+            if agents or not all(needs.values()):
+                options = ", and ".join((*needs, "--game or --world", "no agent"))
+                raise ValueError(f"--policy needs {options}")
             return True
         self.without_policy()
         if not agents:
@@ -226,8 +228,8 @@ class Player:
         Raises:
             ValueError: If no agent and no policy is named, or both are.
         """
-        opened = self.policy.open(self.agent, self.acting, "--variant", self.variant)
-        player, rules, config = opened
+        needs = {"--variant": self.variant}
+        player, rules, config = self.policy.open(self.agent, self.acting, needs)
         made = played(rules, self.variant or config.variant, self.knobs, config)  # pyright: ignore
         return player, rules, made, config
 
@@ -266,8 +268,8 @@ class TestedPlayer:
         from astray.analysis.outcomes import load_shift
         from astray.analysis.runs import shift_of
 
-        opened = self.policy.open(self.agent, self.acting, "--shift", self.shift)
-        player, rules, config = opened
+        needs = {"--shift": self.shift}
+        player, rules, config = self.policy.open(self.agent, self.acting, needs)
         shift = self.shift or shift_of(config)  # pyright: ignore[reportArgumentType]
         name = self.variant or load_shift(rules, shift).test
         return player, rules, name, played(rules, name, self.knobs, config), shift, config

@@ -41,7 +41,7 @@ def audit(
     command = command_of("astray", *sys.argv[1:])
     how: dict[str, Any] = {"ghost": ghost, "levels": levels, "knobs": pairs(knobs)}
     how |= {"rewards": imports.find_each(rewards), "folder": folder, "command": command}
-    if policy.replaces(agent, "--shift", shift):
+    if policy.replaces(agent, {"--shift": shift}):
         print(write(policy.make(acting), policy.rules(), shift, **how))
     else:
         assert agent is not None

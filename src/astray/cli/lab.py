@@ -55,7 +55,7 @@ def lab(
     if policy.policy is not None:
         if export is not None:
             raise ValueError("--export writes agents of run folders; a policy needs Python to act")
-        shown, rules, _ = policy.open(agent, Acting(), "a variant", True)
+        shown, rules, _ = policy.open(agent, Acting(), needs={})
         policy = replace(policy, game=rules.name)
     start: dict[str, Any] = {"game": policy.game, "variant": variant, "level": level.level}
     if level.level_file is not None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from astray import games
-from astray.envs.vector import GameVectorEnv
+from astray.envs.vector import GameVectorEnv, quickest
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN, Game, Variant
 from astray.level import Level
@@ -44,7 +44,7 @@ def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> 
     of_kind("levels", levels, Sized)
     if not len(levels):
         raise ValueError("at least one level must be given to begin; got none")
-    shown = "symbolic" if games.find(game).symbols else "image"  # symbols take less time
+    shown = quickest(games.find(game))
     env = GameVectorEnv(game, variant, min(CHUNK, len(levels)), observation=shown)
     option, begin = beginnings(levels, env.game.state)
     found = []

@@ -38,6 +38,11 @@ OPTIONS = ("level", "state", "reset_mask")  # of a reset
 Observation = Literal["image", "symbolic"]
 
 
+def quickest(game: Game) -> Observation:
+    """Return the kind of observations that takes the least time to make."""
+    return "symbolic" if game.symbols else "image"
+
+
 class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """`num_envs` environments of one game, stepped together.
 

@@ -8,6 +8,7 @@ import numpy as np
 from astray import games
 from astray.acting import Answer, Onward
 from astray.envs.beginnings import without_autoreset
+from astray.envs.vector import quickest
 from astray.game import Game, Variant
 
 
@@ -23,8 +24,7 @@ def outcomes(game: str | Game, variant: str | Variant, states: np.ndarray) -> np
 def _after(game: Game, variant: str | Variant, states: np.ndarray) -> Iterator[np.ndarray]:
     """Yield the successors of `states` [N] for each action."""
     count = len(states)
-    shown_as = "symbolic" if game.symbols else "image"  # symbols take less time
-    env = without_autoreset(game, variant, count, shown_as)
+    env = without_autoreset(game, variant, count, quickest(game))
     for action in range(len(game.actions)):
         onward = Onward(env, env.set_state(states))
         yield onward.step(0, 0, Answer(np.full(count, action))).after.copy()

@@ -237,6 +237,11 @@ def truths(states: np.ndarray) -> dict[str, np.ndarray]:
         }
 
 
+def of_variant(states: np.ndarray, variant: Any) -> dict[str, np.ndarray]:
+    """Return facts about states [N] of a variant: the sizes of its world and its window."""
+    return {name: states[name] == getattr(variant, name) for name in ("world", "window")}
+
+
 def grid(s: Any) -> np.ndarray:
     """Return the contents of every cell, [world, world] uint8, without objects that are gone."""
     cells = s.cell[: s.world, : s.world].copy()

@@ -16,6 +16,7 @@ from astray.agency.online import Growth, measure_online
 from astray.analysis.agency import named_places
 from astray.analysis.policies import Walk
 from astray.analysis.runs import play_all, scripts_of
+from astray.envs.vector import quickest
 from astray.game import Game, Shift, Variant
 from astray.lab.agents import Shown, rounded
 from astray.lab.messages import LONGEST
@@ -172,7 +173,7 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
     The way is walked to find its cells, the first object that disappears, and the number of steps.
     """
     world, game, event = episode.world, episode.world.game, episode.world.game.event(goal)
-    policy = Walk(goal, "symbolic" if game.symbols else "image")
+    policy = Walk(goal, quickest(game))
     walk = Episode(world, [episode.state]).play(policy, LONGEST)
     (s,) = episode.state.view(np.recarray)
     before = _things(world, s)

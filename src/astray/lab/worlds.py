@@ -15,7 +15,7 @@ from astray import games, grid
 from astray.acting import Asking, Onward, Policy, Step, initial_states, play
 from astray.analysis.replay import Script
 from astray.envs.beginnings import without_autoreset
-from astray.envs.vector import GameVectorEnv
+from astray.envs.vector import GameVectorEnv, quickest
 from astray.game import Game, Variant
 from astray.lab.messages import Message
 from astray.level import Level
@@ -195,7 +195,7 @@ def play_on(episode: Episode | None, world: World, actions: Sequence[int]) -> Ep
     for action in left:
         bounded("an action", action, 0, len(world.game.actions) - 1)
     if left:
-        script = Script(iter(left), observation="symbolic" if world.game.symbols else "image")
+        script = Script(iter(left), observation=quickest(world.game))
         taken = sum(1 for _ in episode.play(script, len(left)))
         if taken < len(left):
             raise ValueError(f"the episode has ended after {same + taken} steps")
@@ -204,5 +204,5 @@ def play_on(episode: Episode | None, world: World, actions: Sequence[int]) -> Ep
 
 def environment(world: World, observation: Any = None, art: str = "own") -> GameVectorEnv:
     """Return one environment of the world's game."""
-    shown = observation or ("symbolic" if world.game.symbols else "image")
+    shown = observation or quickest(world.game)
     return without_autoreset(world.game, world.variant, 1, shown, art)

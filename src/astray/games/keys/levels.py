@@ -127,11 +127,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
 
 def invariants(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
     """Return facts about states [N] of `variant` that compiled code relies on."""
-    p = variant.records()[0]
-    return truths(states) | {
-        "world": states["world"] == p.world,
-        "window": states["window"] == p.window,
-    }
+    return truths(states) | thief.of_variant(states, variant)
 
 
 def truths(states: np.ndarray) -> dict[str, np.ndarray]:

@@ -65,6 +65,13 @@ export class Lab {
     }
   }
 
+  // Ask; `add` hears each part of the answer, the last one too, which is returned.
+  async #ask(question, add) {
+    const last = await this.engine.ask(question, add);
+    if (last) add(last);
+    return last;
+  }
+
   get look() {
     return lookOf(this.game);
   }
@@ -179,18 +186,15 @@ export class Lab {
     this.goals = this.way = null;
   }
 
-  async undo() {
-    const before = this.past.pop();
-    if (!before) return;
-    this.future.push({ level: this.level, number: this.number });
-    await this.#change(before.level, before.number);
-  }
+  undo = () => this.#swap(this.past, this.future);
+  redo = () => this.#swap(this.future, this.past);
 
-  async redo() {
-    const after = this.future.pop();
-    if (!after) return;
-    this.past.push({ level: this.level, number: this.number });
-    await this.#change(after.level, after.number);
+  // Change to the last level in `from`, and keep the present one in `to`.
+  async #swap(from, to) {
+    const other = from.pop();
+    if (!other) return;
+    to.push({ level: this.level, number: this.number });
+    await this.#change(other.level, other.number);
   }
 
   async restore() {
@@ -258,8 +262,7 @@ export class Lab {
       this.stage.redraw();
     };
     try {
-      const last = await this.engine.ask({ ...question, slot }, add);
-      if (last) add(last);
+      const last = await this.#ask({ ...question, slot }, add);
       if (last && slot === "own") this.took = performance.now() - begun;
     } catch (error) {
       fields.clear();
@@ -310,11 +313,7 @@ export class Lab {
       this.panels.played();
       this.stage.redraw();
     };
-    const done = await this.tried(async () => {
-      const last = await this.engine.ask(question, add);
-      if (last) add(last);
-      return last;
-    });
+    const done = await this.tried(() => this.#ask(question, add));
     if (done) await this.#pursue();
     return done;
   }
@@ -416,18 +415,14 @@ export class Lab {
       this.panels.splayed(of);
       this.stage.redraw();
     };
-    await this.tried(async () => {
-      const last = await this.engine.ask(this.question("splay", { thing, cell, draws }), add);
-      if (last) add(last);
-    });
+    await this.tried(() => this.#ask(this.question("splay", { thing, cell, draws }), add));
   }
 
   async askReading() {
     const question = this.question("reading", { actions: this.actions, layer: this.part("probed").value });
     this.panels.status("Fitting probes …");
-    const found = await this.tried(() => this.engine.ask(question, (part) => this.panels.read(part)));
+    await this.tried(() => this.#ask(question, (part) => this.panels.read(part)));
     this.panels.status("connected");
-    if (found) this.panels.read(found);
   }
 
   async askRoute() {
