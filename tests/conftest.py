@@ -1,5 +1,6 @@
 """What several tests are given."""
 
+import signal
 import sys
 from pathlib import Path
 
@@ -38,6 +39,21 @@ def chrome():
 def reference() -> Path:
     """Recordings of the original program."""
     return REFERENCE
+
+
+@pytest.fixture
+def full_disk():
+    """No file can grow beyond some bytes, as on a full disk."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    def fill(size=resource.RLIM_INFINITY):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+
+    yield fill
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    signal.signal(signal.SIGXFSZ, handler)
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -134,19 +133,11 @@ def test_an_agent_is_recorded_as_a_video(astray, run_folder, tmp_path):
     )
 
 
-def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
-    resource = pytest.importorskip("resource")
+def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp_path, full_disk):
+    full_disk(2048)
     out = tmp_path / "episodes.parquet"
-    words = ["evaluate", str(run_folder), "--levels", "0:5", "--out", str(out)]
-
-    def fill():  # no file can grow beyond this, as on a full disk
-        resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-
-    command = [sys.executable, "-m", "astray", *words]
-    done = subprocess.run(command, preexec_fn=fill, capture_output=True, text=True)
-    assert done.returncode == 2 and done.stderr.startswith("astray: ")
-    assert "nothing was written" in done.stderr and done.stderr.count("\n") == 1
+    said = astray("evaluate", run_folder, "--levels", "0:5", "--out", out, fails=True)
+    assert said.startswith("astray: ") and "nothing was written" in said and said.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 

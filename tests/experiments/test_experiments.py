@@ -34,6 +34,7 @@ from helpers.miniature import miniature, train_here
 from helpers.processes import environment
 from helpers.trainings import TINY
 
+PATIENCE = 300  # seconds that a process is waited for; machines may be busy
 ALL = [(name, size) for name in catalogue.NAMES for size in catalogue.load(name).sizes]
 
 
@@ -282,7 +283,7 @@ def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
     config = catalogue.load("maze-corner").sizes["smoke"].config
     folder = run.run_folder(tmp_path, config)
     try:
-        wait_for((folder / "metrics.jsonl").exists, 60)
+        wait_for((folder / "metrics.jsonl").exists, PATIENCE)
     finally:  # else it would go on training for minutes
         process.kill()
         process.wait()
@@ -294,7 +295,7 @@ def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
         except RuntimeError:
             return False
 
-    wait_for(free, 20)
+    wait_for(free, PATIENCE)
 
 
 REPRODUCE = """
@@ -357,9 +358,9 @@ def test_an_interrupt_ends_all_trainings_in_a_line(first, sent, code, told, tmp_
     program += "'maze-corner', '--folder', sys.argv[1]]; main()"
     process = begin(program, tmp_path, start_new_session=True)
     try:
-        wait_for(lambda: list(tmp_path.glob(first)), 100)
+        wait_for(lambda: list(tmp_path.glob(first)), PATIENCE)
         os.killpg(process.pid, sent)  # as a terminal does: to all of them
-        said = process.communicate(timeout=100)[1]
+        said = process.communicate(timeout=PATIENCE)[1]
     finally:
         process.kill()
     assert process.returncode == code

@@ -336,8 +336,14 @@ def test_a_server_that_ends_is_told_and_one_that_comes_back_goes_on(chrome):
     context.close()
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize(
+    "width, theme",
+    [
+        *((width, "light") for width in WIDTHS),
+        ("laptop", "dark"),
+        *(pytest.param(width, "dark", marks=pytest.mark.thorough) for width in ("tablet", "phone")),
+    ],
+)
 def test_nothing_is_wider_than_the_page(chrome, served, width, theme):
     columns, rows = WIDTHS[width]
     size = {"width": columns, "height": rows}

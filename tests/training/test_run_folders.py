@@ -1,7 +1,6 @@
 """Run folders that are shared, closed or on a full disk."""
 
 import os
-import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -32,21 +31,6 @@ def test_two_processes_cannot_train_in_one_folder(tmp_path):
         other = subprocess.run(words, env=environment(), capture_output=True, text=True)
     assert other.returncode == 1 and "another process is training in" in other.stderr
     assert not checkpoint.steps_saved(tmp_path)
-
-
-@pytest.fixture
-def full_disk():
-    """No file can grow beyond some bytes, as on a full disk."""
-    resource = pytest.importorskip("resource")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-
-    def fill(size=resource.RLIM_INFINITY):
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-
-    yield fill
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    signal.signal(signal.SIGXFSZ, handler)
 
 
 def test_a_full_disk_leaves_the_run_as_it_was_and_it_goes_on_when_there_is_room(
