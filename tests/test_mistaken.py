@@ -18,6 +18,7 @@ from astray.agency.steps import log_table, rule
 from astray.analysis.evaluate import evaluate
 from astray.analysis.overlap import overlap
 from astray.analysis.policies import Random
+from astray.envs.beginnings import initial_states
 from astray.envs.pictures import picture
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
@@ -131,7 +132,7 @@ def test_numpys_numbers_are_numbers():
 
 @pytest.mark.parametrize(
     "levels", [[1.5, 2.0], np.array([1.0]), [True, False], [1, True], "12", ["1"], [None], [], [-1],
-               [2**31 - 1], [2**70], [[1, 2]]]
+               [2**31 - 1], [2**70], [[1, 2]], range(2**64), range(5, 2**63), np.array(5), 5]
 )  # fmt: skip
 @pytest.mark.parametrize(
     "take",
@@ -139,6 +140,7 @@ def test_numpys_numbers_are_numbers():
         lambda levels: small(levels=levels),
         lambda levels: evaluate(Random(), "maze", SMALL, levels),
         lambda levels: overlap("maze", SMALL, levels, SMALL, [1]),
+        lambda levels: initial_states("maze", SMALL, levels),
     ],
 )
 def test_numbers_of_levels_are_integers_that_are_levels(take, levels):
@@ -153,6 +155,8 @@ def test_numbers_of_levels_are_integers_that_are_levels(take, levels):
         ({"level": 1.0}, "levels must be integers of at most 64 bits; got 1.0"),
         ({"level": [1, True]}, "levels must be integers"),
         ({"level": 2**64}, "levels must be integers of at most 64 bits; got 18446744073709551616"),
+        ({"level": range(9, 2**63)}, "at most 10,000,000 levels are taken at once; got range"),
+        ({"level": 2**63}, "level must be from 0 to 2147483646; got 9223372036854775808"),
         ({"level": True}, "levels must be integers of at most 64 bits; got True"),
         ({"level": "1"}, "levels must be integers of at most 64 bits; got '1'"),
         ({"level": 1, "state": small().get_state()}, "by a level or by a state, not both"),
@@ -276,7 +280,7 @@ def test_a_copy_of_an_environment_shares_nothing(make):
     assert ours.get_state().tobytes() == before.tobytes() != theirs.get_state().tobytes()
 
 
-@pytest.mark.parametrize("line", ["raise SystemExit(0)", "raise KeyboardInterrupt", "1 / 0"])
+@pytest.mark.parametrize("line", ["raise SystemExit(0)", "raise GeneratorExit", "1 / 0"])
 def test_a_module_that_fails_is_named_whatever_it_raises(tmp_path, monkeypatch, line):
     (tmp_path / "failing.py").write_text(line)
     monkeypatch.syspath_prepend(tmp_path)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import logging
 import time
-from collections.abc import Iterator, Mapping, Sequence, Sized
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -26,7 +26,7 @@ from astray.envs.steps import Step as Step
 from astray.envs.vector import GameVectorEnv, Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import Game, Variant
-from astray.record import level_numbers
+from astray.record import count_levels, level_numbers
 from astray.validation import MOST, bounded, of_kind, one_of, shown
 from astray.world import World, WorldVariant
 
@@ -322,24 +322,22 @@ def steps(
         ValueError: If an argument is invalid, or episodes may last for ever and `longest` is None.
     """
     check_policy(policy)
-    of_kind("levels", levels, Sized)
-    if not len(levels):
-        raise ValueError("no levels to play")
+    count = count_levels(levels)
     if not isinstance(levels, Mapping):
         known, counts = np.unique(level_numbers(levels), return_counts=True)
         if counts.max() > 1:  # intervals would count it as several
             raise ValueError(f"level {known[counts.argmax()]} is given {counts.max()} times")
     bounded("batch", batch, 1, MOST)
     check_ending(game, variant, longest)
-    n = min(batch, len(levels))
+    n = min(batch, count)
     env = without_autoreset(game, variant, n, policy.observation, policy.art, longest)
     stage = LevelByLevel(env, levels, until, longest)
     played, told = 0, time.monotonic()
     for step in play(Asking(policy), stage):
         played += int(step.ended.sum())
-        if len(levels) > 1 and time.monotonic() - told > EVERY:
+        if count > 1 and time.monotonic() - told > EVERY:
             told = time.monotonic()
-            LOG.info("%d of %d levels played", played, len(levels))
+            LOG.info("%d of %d levels played", played, count)
         yield step
     stage.close()
 

@@ -1,7 +1,7 @@
 """The record that holds one environment's state, and its validity checks."""
 
 import reprlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -138,8 +138,6 @@ def level_numbers(given: Any) -> np.ndarray:
     Raises:
         ValueError: If it is empty, or not made of level numbers.
     """
-    if isinstance(given, range) and given:  # which may go on for long
-        given = given if given[0] in LEVELS and given[-1] in LEVELS else [given[0], given[-1]]
     if not np.size(array_of(given)):
         raise ValueError("levels are numbers, at least one; none is given")
     numbers = integers(given, "levels")
@@ -148,6 +146,17 @@ def level_numbers(given: Any) -> np.ndarray:
             f"levels must be numbers from 0 to {LEVELS.stop - 1}; got {reprlib.repr(given)}"
         )
     return numbers.astype(np.int64)
+
+
+def count_levels(levels: Any) -> int:
+    """Return the number of `levels`, numbers or drawn ones by name.
+
+    Raises:
+        ValueError: If there are none, or the numbers are not of levels.
+    """
+    if isinstance(levels, Mapping) and levels:
+        return len(levels)
+    return len(level_numbers([] if isinstance(levels, Mapping) else levels))
 
 
 def centre(s: Any) -> list[float]:

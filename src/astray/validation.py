@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 MOST = 2**31 - 1  # of a knob, and of what is counted
+AT_ONCE = 10_000_000  # numbers of a range that are written out
 
 
 class OldName(FutureWarning):
@@ -84,7 +85,13 @@ def integers(given: Any, name: str) -> np.ndarray:
 
 
 def array_of(given: Any) -> np.ndarray:
-    """Convert to an array of the same shape; ragged lists become [None], which callers reject."""
+    """Convert to an array of the same shape; ragged lists become [None], which callers reject.
+
+    Raises:
+        ValueError: If it is a range of more than `AT_ONCE` numbers.
+    """
+    if isinstance(given, range) and given[AT_ONCE:]:
+        raise ValueError(f"at most {AT_ONCE:,} levels are taken at once; got {given}")
     try:
         return np.asarray(given)
     except ValueError:

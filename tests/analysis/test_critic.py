@@ -177,7 +177,7 @@ def test_an_observation_does_not_depend_on_those_beside_it(either, visited):
 @pytest.mark.parametrize(
     "levels, arguments, message",
     [
-        ([], {}, "no levels to play"),
+        ([], {}, "levels are numbers, at least one; none"),
         ([1], {"per_episode": 0}, "per_episode must be an integer from 1 to"),
         ([1], {"batch": 0}, "batch must be an integer from 1 to"),
         ([1], {"measures": {"value": measures.stage}}, "the names of other columns: value"),

@@ -21,7 +21,6 @@ SOURCES = {
     "fails_unsaid": "class Unsaid(Exception):\n    def __repr__(self): raise SystemExit(0)\n"
     "raise Unsaid",
     "poses": "class Posed:\n    __class__ = property(lambda self: exit())\nGAME = Posed()",
-    "interrupts": "raise KeyboardInterrupt",
     "ends": "class End(BaseException): pass\nraise End('for good')",
     "leaves_late": "import dataclasses, sys\nfrom astray import games\n"
     "class Variants(dict):\n    items = sys.exit\n"
@@ -42,7 +41,6 @@ REASONS = {
     "hides": "must be a Game called 'hides'; got <Hidden that cannot be shown>",
     "fails_unsaid": "fails: <Unsaid that cannot be shown>",
     "poses": "SystemExit(None)",
-    "interrupts": "KeyboardInterrupt()",
     "ends": "End('for good')",
     "leaves_late": "SystemExit()",
     "misleads_late": "fails: Odd()",
@@ -74,6 +72,15 @@ def test_a_broken_game_is_refused_where_it_is_asked_for(strangers, name):
     else:
         with pytest.raises(ValueError, match=re.escape(REASONS[name])):
             games.find(name)
+
+
+def test_an_interrupt_while_a_game_loads_is_the_users(tmp_path, monkeypatch):
+    offer(tmp_path, monkeypatch, waits="import signal\nsignal.raise_signal(signal.SIGINT)")
+    for find in (games.find, lambda name: games.survey(str), lambda name: imports.find("waits:X")):
+        games._offered.cache_clear()
+        with pytest.raises(KeyboardInterrupt):
+            find("waits")
+    games._offered.cache_clear()
 
 
 def test_a_game_that_closes_the_standard_output_does_not_end_what_follows(tmp_path, monkeypatch):

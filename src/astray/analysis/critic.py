@@ -10,7 +10,7 @@ returns, as in the paper.
 """
 
 import heapq
-from collections.abc import Callable, Mapping, Sized
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from astray.analysis.trained import Model, Opaque, check_network
 from astray.envs.beginnings import without_autoreset
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
+from astray.record import count_levels
 from astray.validation import MOST, bounded, finite, of_kind
 from astray.world import SEEN, World
 
@@ -58,14 +59,14 @@ def visit(
         ValueError: If an argument is invalid.
     """
     check_network(agent)
-    of_kind("levels", levels, Sized)
+    count = count_levels(levels)
     if per_episode is not None:
         bounded("per_episode", per_episode, 1, MOST)
     bounded("seed", seed, 0, MOST)
     if gamma is not None:
         finite("gamma", gamma, 0, 1)
-    heaps: list[list[tuple]] = [[] for _ in levels]  # (-noise, step, state, action, reward)
-    limit = np.full(len(levels), np.inf)  # the steps with the least noise are kept
+    heaps: list[list[tuple]] = [[] for _ in range(count)]  # (-noise, step, state, action, reward)
+    limit = np.full(count, np.inf)  # the steps with the least noise are kept
     rewards: list[list[float]] = [[] for _ in levels]
     game = agent.game
     world = replace(game, every_step=True) if isinstance(game, World) else None

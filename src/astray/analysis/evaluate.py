@@ -1,6 +1,6 @@
 """Evaluation: a table of a policy's episodes, one in each level."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence, Sized
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from astray import world
 from astray.acting import Levels, Policy, Reward, steps
 from astray.envs.steps import paid
 from astray.game import Game, Variant
+from astray.record import count_levels
 from astray.validation import of_kind, shown
 from astray.world import World, WorldVariant
 
@@ -62,12 +63,12 @@ def evaluate(
     own_rewards: Any = rewards
     check_measures(own_rewards, (*COLUMNS, *LATER, *game.events, *game.measures, *(measures or {})))
     measured_by = {**game.of_states, **(measures or {})}
-    of_kind("levels", levels, Sized)
-    names = list(levels) if isinstance(levels, Mapping) else [None] * len(levels)
-    rows: list[dict[str, Any]] = [{}] * len(levels)
-    returns = np.zeros(len(levels))
-    own = {name: np.zeros(len(levels)) for name in rewards or {}}
-    last = np.zeros(len(levels) if measured_by else 0, game.state)  # states
+    count = count_levels(levels)
+    names = list(levels) if isinstance(levels, Mapping) else [None] * count
+    rows: list[dict[str, Any]] = [{}] * count
+    returns = np.zeros(count)
+    own = {name: np.zeros(count) for name in rewards or {}}
+    last = np.zeros(count if measured_by else 0, game.state)  # states
     for step in steps(policy, game, variant, levels, batch=batch, until=until, longest=longest):
         returns[step.level] += step.rewards
         for name, totals in own.items():

@@ -19,7 +19,7 @@ from astray.level import Level
 from astray.level_files import read_levels
 from astray.record import LEVELS
 from astray.training.settings import KNOB, otherwise
-from astray.validation import bounded, command_of, of_kind, one_of
+from astray.validation import AT_ONCE, bounded, command_of, of_kind, one_of
 from astray.world import World
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from astray.analysis.trained import Agent as Trained
     from astray.training.config import Config
 
-AT_ONCE = 10_000_000  # level numbers of one command
 MOST_WORKERS = 1024  # processes
 WALK = "walk:"
 NOBODY = "name an agent or a run folder, or give a --policy"

@@ -1,6 +1,6 @@
 """Environments whose levels are given, and the initial states of levels."""
 
-from collections.abc import Iterator, Mapping, Sequence, Sized
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from astray.envs.vector import GameVectorEnv, quickest
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN, Game, Variant
 from astray.level import Level
-from astray.record import level_numbers
+from astray.record import count_levels, level_numbers
 from astray.validation import of_kind
 from astray.world import World, WorldVariant
 
@@ -41,11 +41,9 @@ def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> 
     Raises:
         ValueError: If a level number or a drawn level is invalid.
     """
-    of_kind("levels", levels, Sized)
-    if not len(levels):
-        raise ValueError("at least one level must be given to begin; got none")
+    count = count_levels(levels)
     shown = quickest(games.find(game))
-    env = GameVectorEnv(game, variant, min(CHUNK, len(levels)), observation=shown)
+    env = GameVectorEnv(game, variant, min(CHUNK, count), observation=shown)
     option, begin = beginnings(levels, env.game.state)
     found = []
     for first in range(0, len(begin), env.num_envs):

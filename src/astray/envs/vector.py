@@ -212,10 +212,11 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._take(state, which, keep=("seed", "turn"))
             chosen[:] = AS_SET
         elif level is not None:
-            chosen[:] = integers(level, "levels")
-            wrong = chosen[which & ((chosen < LEVELS.start) | (chosen >= LEVELS.stop))]
+            numbers = np.full(self.num_envs, integers(level, "levels"))  # as they are: 2^63 as well
+            wrong = numbers[which & ((numbers < LEVELS.start) | (numbers >= LEVELS.stop))]
             if wrong.size:
                 raise ValueError(f"level must be from 0 to {LEVELS.stop - 1}; got {wrong[0]}")
+            chosen = numbers.astype(np.int64)
         if seed is None and not self._seeded:
             seed = int(self.np_random.integers(2**62))
         if seed is not None:

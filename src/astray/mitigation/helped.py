@@ -1,7 +1,7 @@
 """A novice that an expert helps, and a novice that is only watched."""
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence, Sized
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,6 +16,7 @@ from astray.analysis.trained import Agent
 from astray.envs.vector import Observation
 from astray.game import Game, Variant
 from astray.mitigation.uncertainty import Score
+from astray.record import count_levels
 from astray.validation import of_kind, one_of
 
 Granularity = Literal["step", "level"]
@@ -153,8 +154,7 @@ def play(
     query, or null), highest (score), moment (in `MOMENTS`, of the first query; null without
     `watch`), and the game's events (their steps, or null).
     """
-    of_kind("levels", levels, Sized)
-    n = len(levels)
+    n = count_levels(levels)
     queries, first, moment = np.zeros(n, int), np.full(n, -1), np.full(n, -1)
     highest, seen = np.full(n, -np.inf), np.zeros(n, bool)
 
@@ -186,8 +186,7 @@ def play_alone(
     row per step: level (index in `levels`), time, moment (index in `MOMENTS`, -1 without `watch`),
     and one column per score, named by its position.
     """
-    of_kind("levels", levels, Sized)
-    seen, parts = np.zeros(len(levels), bool), []
+    seen, parts = np.zeros(count_levels(levels), bool), []
 
     def note(step: Step) -> None:
         where = step.level
