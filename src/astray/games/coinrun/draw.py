@@ -11,7 +11,9 @@ from astray.game import OWN, Looks, Variant
 from astray.games.coinrun import backdrops
 from astray.games.coinrun.rules import (
     COIN,
+    CORNER,
     CRATE,
+    HALF,
     LAVA,
     PERMEABLE,
     PUFFS,
@@ -39,7 +41,7 @@ MARGIN = 7  # cells of wall around the world in the scene, so that every window 
 CELLS = WORLD + 2 * MARGIN
 LARGEST = 128  # pixels a side of a picture; for larger ones no scene is kept, it would be huge
 FINEST = 10.0  # pixels per cell of a backdrop; larger pictures blur it
-EDGE = 0.49  # cells from the middle of a walker to its ends, which say the cells that it is in
+EDGE = float(HALF * CORNER)  # cells from a walker to its ends; walls in their cells turn it
 PERIOD = 5  # steps from one picture of a walker to the next
 RUNNER_HEIGHT = 88 / 64  # of its pictures, in cells, from its feet up
 PUFF_DOWN, PUFF_RISE, PUFF_GROWTH = 0.25, 0.01, 1.05  # cells, cells per step, per step

@@ -9,7 +9,7 @@ import pytest
 from astray.envs.pictures import picture
 from astray.envs.vector import GameVectorEnv
 from astray.games.coinrun import GAME, backdrops, draw
-from astray.games.coinrun.rules import COIN, CRATE, SAW, TOP, WALL
+from astray.games.coinrun.rules import COIN, CORNER, CRATE, HALF, SAW, TOP, WALL, turned_by
 from astray.games.coinrun.variants import VARIANTS
 
 
@@ -51,6 +51,18 @@ def test_symbols_say_where_walkers_are_and_where_they_go():
             assert set(map(tuple, np.argwhere(planes[plane]).tolist())) == expected
             seen |= {plane} if expected else set()
     assert seen == {4, 5}
+
+
+@pytest.mark.parametrize("aside, cells", [(-0.011, 2), (-0.009, 1), (0.009, 1), (0.011, 2)])
+def test_a_walker_is_in_the_cells_whose_walls_turn_it(aside, cells):
+    env, _ = begin("coin-end", "symbolic", level=0)
+    s = env.get_state()
+    x, y = (int(s[name][0, 0]) for name in ("walker_x", "walker_y"))
+    s["x"], s["y"], s["walker_x"][0, 0], s["walker_vx"][0, 0] = x + 3.5, y + 0.5, x + 0.5 + aside, 1
+    assert env.set_state(s)[0][draw.RIGHT_PLANE].sum() == cells
+    s["cell"][0, y, [x - 1, x + 1]] = WALL
+    ends = [x + 0.5 + aside + HALF * CORNER * side for side in (-1, 1)]
+    assert any(turned_by(s[0], end, y + 0.5) for end in ends) == (cells == 2)
 
 
 def test_gauges_rise_with_place_and_speed():
