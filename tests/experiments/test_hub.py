@@ -301,9 +301,20 @@ def test_a_name_that_is_taken_is_told_before_anything_is_asked(pushed):
         ours.pull("ada/mouse")
     with pytest.raises(ValueError, match="an agent's name must be of a-z"):
         ours.pull("ada/mouse", name="../x")
+    with pytest.raises(ValueError, match=r"an agent's name must be of a-z, .* at most 100"):
+        ours.pull(f"ada/{'mouse' * 60}")
     with pytest.raises(ValueError, match="a repository must be USER/NAME"):
         ours.pull("mouse")
     assert pushed.requests == []
+
+
+def test_a_file_of_another_size_is_told_its_size(pushed):
+    told = json.loads(files(pushed)["digests.json"])
+    told["files"]["config.json"]["bytes"] += 1
+    rewritten(pushed, {"digests.json": json.dumps(told).encode()})
+    size = len(files(pushed)["config.json"])
+    with pytest.raises(ValueError, match=rf"of {size:,} bytes, not .* of {size + 1:,} as digests"):
+        ours.pull("ada/mouse")
 
 
 def test_agents_of_others_are_not_pushed(pushed, tmp_path):

@@ -328,8 +328,8 @@ def _checked(repository: str, path: str, here: Path, size: int, digest: str) -> 
         if place.parent.resolve().is_relative_to(cache):  # a link may lead to any file
             place.unlink(missing_ok=True)
     raise ValueError(
-        f"{repository}: {path} is refused: its SHA-256 is {found}, not {digest} as {DIGESTS} "
-        "says; it was removed, and nothing is imported"
+        f"{repository}: {path} is refused: its SHA-256 is {found} of {len(data):,} bytes, not "
+        f"{digest} of {size:,} as {DIGESTS} says; it was removed, and nothing is imported"
     )
 
 

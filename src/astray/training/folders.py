@@ -35,7 +35,7 @@ DEVIATION = "reward_deviation"  # beside the settings of an agent that was kept
 MOMENTS = "training.moments"
 LARGEST = 2**20  # bytes of a file of JSON
 STEPS = re.compile(r"0|[1-9][0-9]{0,17}")  # names of checkpoints
-NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+NAME = re.compile(r"(?!.{101})[a-z0-9]+(-[a-z0-9]+)*")
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def check_new(name: str, *homes: Path) -> None:
     """Raise ValueError if a name is invalid or taken in `homes`, by default in all of them."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise ValueError(
-            f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {shown(name)}"
+            f"an agent's name must be of a-z, 0-9 and -, at most 100; got {shown(name)}"
         )
     for one in homes or (PRETRAINED, home()):
         if (one / name).exists():
