@@ -156,7 +156,7 @@ def test_numbers_of_levels_are_integers_that_are_levels(take, levels):
         ({"level": [1, True]}, "levels must be integers"),
         ({"level": 2**64}, "levels must be integers of at most 64 bits; got 18446744073709551616"),
         ({"level": range(9, 2**63)}, "at most 10,000,000 levels are taken at once; got range"),
-        ({"level": 2**63}, "level must be from 0 to 2147483646; got 9223372036854775808"),
+        ({"level": 2**63}, "levels must be numbers from 0 to 2147483646; got 9223372036854775808"),
         ({"level": True}, "levels must be integers of at most 64 bits; got True"),
         ({"level": "1"}, "levels must be integers of at most 64 bits; got '1'"),
         ({"level": 1, "state": small().get_state()}, "by a level or by a state, not both"),

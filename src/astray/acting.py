@@ -26,7 +26,7 @@ from astray.envs.steps import Step as Step
 from astray.envs.vector import GameVectorEnv, Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import Game, Variant
-from astray.record import count_levels, level_numbers
+from astray.record import count_levels
 from astray.validation import MOST, bounded, of_kind, one_of, shown
 from astray.world import World, WorldVariant
 
@@ -323,10 +323,6 @@ def steps(
     """
     check_policy(policy)
     count = count_levels(levels)
-    if not isinstance(levels, Mapping):
-        known, counts = np.unique(level_numbers(levels), return_counts=True)
-        if counts.max() > 1:  # intervals would count it as several
-            raise ValueError(f"level {known[counts.argmax()]} is given {counts.max()} times")
     bounded("batch", batch, 1, MOST)
     check_ending(game, variant, longest)
     n = min(batch, count)

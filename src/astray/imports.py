@@ -20,9 +20,7 @@ class Terminated(KeyboardInterrupt):
 
 @contextlib.contextmanager
 def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
-    """Turn every error of a user's code into a ValueError, also an exit.
-
-    An interrupt passes: nothing tells one that the code raises from Ctrl+C while it loads.
+    """Turn every error of a user's code into a ValueError, also an exit, but not an interrupt.
 
     Args:
         what: Name of the code for the error, which says "{what} fails".
@@ -37,7 +35,7 @@ def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
     try:
         with contextlib.redirect_stdout(lent):
             yield
-    except (KeyboardInterrupt, *passed):
+    except (KeyboardInterrupt, *passed):  # nothing tells one that the code raises from Ctrl+C
         raise
     except BaseException as error:
         raise ValueError(f"{what} fails: {shown(error, 300)}") from error

@@ -9,7 +9,7 @@ import numpy as np
 
 from astray.kernel.rng import RNG_FIELDS, WORDS
 from astray.protocols import Rules
-from astray.validation import MOST, array_of, integers
+from astray.validation import MOST, integers
 
 NEVER = -1  # step of an event that has not happened; number of a level without one
 LEVELS = range(2**31 - 1)  # all level numbers, as in the original
@@ -138,13 +138,13 @@ def level_numbers(given: Any) -> np.ndarray:
     Raises:
         ValueError: If it is empty, or not made of level numbers.
     """
-    if not np.size(array_of(given)):
-        raise ValueError("levels are numbers, at least one; none is given")
     numbers = integers(given, "levels")
-    if numbers.ndim != 1 or numbers.min() < LEVELS.start or numbers.max() >= LEVELS.stop:
-        raise ValueError(
-            f"levels must be numbers from 0 to {LEVELS.stop - 1}; got {reprlib.repr(given)}"
-        )
+    if not numbers.size:
+        raise ValueError("levels are numbers, at least one; none is given")
+    wrong = numbers[(numbers < LEVELS.start) | (numbers >= LEVELS.stop)]
+    if numbers.ndim != 1 or wrong.size:
+        got = wrong[0] if wrong.size else reprlib.repr(given)
+        raise ValueError(f"levels must be numbers from 0 to {LEVELS.stop - 1}; got {got}")
     return numbers.astype(np.int64)
 
 
@@ -152,11 +152,13 @@ def count_levels(levels: Any) -> int:
     """Return the number of `levels`, numbers or drawn ones by name.
 
     Raises:
-        ValueError: If there are none, or the numbers are not of levels.
+        ValueError: If there are none, the numbers are not of levels, or one is given twice.
     """
-    if isinstance(levels, Mapping) and levels:
-        return len(levels)
-    return len(level_numbers([] if isinstance(levels, Mapping) else levels))
+    numbers = level_numbers(range(len(levels)) if isinstance(levels, Mapping) else levels)
+    known, counts = np.unique(numbers, return_counts=True)
+    if counts.max() > 1:  # intervals would count it as several
+        raise ValueError(f"level {known[counts.argmax()]} is given {counts.max()} times")
+    return len(known)
 
 
 def centre(s: Any) -> list[float]:

@@ -75,27 +75,19 @@ def integers(given: Any, name: str) -> np.ndarray:
     A float would be truncated silently, and a boolean would become 0 or 1.
 
     Raises:
-        ValueError: If it holds anything but integers of at most 64 bits.
-    """
-    numbers = array_of(given)
-    several = isinstance(given, Sequence) and not isinstance(given, str | range)
-    if numbers.dtype.kind not in "iu" or (several and any(isinstance(x, bool) for x in given)):
-        raise ValueError(f"{name} must be integers of at most 64 bits; got {reprlib.repr(given)}")
-    return numbers
-
-
-def array_of(given: Any) -> np.ndarray:
-    """Convert to an array of the same shape; ragged lists become [None], which callers reject.
-
-    Raises:
-        ValueError: If it is a range of more than `AT_ONCE` numbers.
+        ValueError: If it holds anything else, larger integers, or a range of more than `AT_ONCE`.
     """
     if isinstance(given, range) and given[AT_ONCE:]:
-        raise ValueError(f"at most {AT_ONCE:,} levels are taken at once; got {given}")
+        raise ValueError(f"at most {AT_ONCE:,} {name} are taken at once; got {given}")
     try:
-        return np.asarray(given)
-    except ValueError:
-        return np.empty(1, object)
+        numbers = np.asarray(given)
+    except ValueError:  # a ragged list
+        numbers = np.empty(1, object)
+    several = isinstance(given, Sequence) and not isinstance(given, str | range)
+    is_bool = several and any(isinstance(x, bool) for x in given)
+    if numbers.size and (numbers.dtype.kind not in "iu" or is_bool):
+        raise ValueError(f"{name} must be integers of at most 64 bits; got {reprlib.repr(given)}")
+    return numbers if numbers.size else numbers.astype(np.int64)
 
 
 def renamed(data: Any, names: Mapping[str, str], where: str) -> Any:

@@ -96,7 +96,7 @@ def test_bad_steps_are_explained():
     env.reset(seed=0)
     with pytest.raises(ValueError, match="actions must be"):
         env.step(np.array([0.5, 1]))
-    with pytest.raises(ValueError, match=r"level must be from 0 to .*; got -2"):
+    with pytest.raises(ValueError, match=r"levels must be numbers from 0 to .*; got -2"):
         env.reset(options={"level": -2})
     with pytest.raises(ValueError, match="levels must be integers"):
         env.reset(options={"level": 2.5})

@@ -31,6 +31,7 @@ from astray.envs import VERSION
 from astray.envs.vector import GameVectorEnv
 from astray.files import folder_aside, read, write_aside
 from astray.game import Game, Variant
+from astray.record import count_levels
 from astray.validation import brief, of_kind, one_of, shown
 from astray.world import World, WorldVariant
 
@@ -128,8 +129,7 @@ def export(
             exported.
     """
     check_policy(policy)
-    if not isinstance(levels, Mapping) and len(set(np.asarray(levels).tolist())) < len(levels):
-        raise ValueError(f"levels must be given once each; got {shown(levels)}")
+    count_levels(levels)
     one_of("format", form, Format)
     of_kind("folder", folder, str | Path)
     if os.path.lexists(folder):

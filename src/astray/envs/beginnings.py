@@ -10,7 +10,7 @@ from astray.envs.vector import GameVectorEnv, quickest
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN, Game, Variant
 from astray.level import Level
-from astray.record import count_levels, level_numbers
+from astray.record import level_numbers
 from astray.validation import of_kind
 from astray.world import World, WorldVariant
 
@@ -41,10 +41,9 @@ def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> 
     Raises:
         ValueError: If a level number or a drawn level is invalid.
     """
-    count = count_levels(levels)
-    shown = quickest(games.find(game))
-    env = GameVectorEnv(game, variant, min(CHUNK, count), observation=shown)
-    option, begin = beginnings(levels, env.game.state)
+    rules = games.find(game)
+    option, begin = beginnings(levels, rules.state)
+    env = GameVectorEnv(rules, variant, min(CHUNK, len(begin)), observation=quickest(rules))
     found = []
     for first in range(0, len(begin), env.num_envs):
         some = np.arange(first, first + env.num_envs) % len(begin)
@@ -73,7 +72,7 @@ def beginnings(levels: Levels, dtype: np.dtype) -> tuple[str, np.ndarray]:
     Raises:
         ValueError: If a level number or a drawn level is invalid.
     """
-    if not isinstance(levels, Mapping):
+    if not isinstance(levels, Mapping) or not levels:
         return "level", level_numbers(levels)
     for level in levels.values():
         of_kind("a level by name", level, Level)

@@ -212,11 +212,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._take(state, which, keep=("seed", "turn"))
             chosen[:] = AS_SET
         elif level is not None:
-            numbers = np.full(self.num_envs, integers(level, "levels"))  # as they are: 2^63 as well
-            wrong = numbers[which & ((numbers < LEVELS.start) | (numbers >= LEVELS.stop))]
-            if wrong.size:
-                raise ValueError(f"level must be from 0 to {LEVELS.stop - 1}; got {wrong[0]}")
-            chosen = numbers.astype(np.int64)
+            numbers = np.full(self.num_envs, integers(level, "levels"))  # as given: 2^63 as well
+            chosen[which] = level_numbers(numbers[which]) if which.any() else NOTHING
         if seed is None and not self._seeded:
             seed = int(self.np_random.integers(2**62))
         if seed is not None:
@@ -381,8 +378,5 @@ def _checked(levels: Any) -> tuple[int, int, np.ndarray]:
         return 0, 1, level_numbers(levels)
     if levels.step != 1:
         raise ValueError(f"a range of levels to draw from has step 1; walk list({levels}) instead")
-    if not levels or levels.start < LEVELS.start or levels.stop > LEVELS.stop:
-        raise ValueError(
-            f"levels must be numbers from 0 to {LEVELS.stop - 1}, at least one; got {levels}"
-        )
+    level_numbers([levels[0], levels[-1]] if levels else levels)
     return levels.start, len(levels), NUMBERS
