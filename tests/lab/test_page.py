@@ -1,5 +1,6 @@
 """The lab in a real browser: what a person does there, and what is seen then."""
 
+import itertools
 import json
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 pytest.importorskip("starlette", reason="starlette is not installed")
 
 from astray import games
+from astray.analysis.adapters import Function
 from astray.analysis.replay import replay
 from astray.analysis.runs import load_agent
 from astray.insight.fields import fields
@@ -149,6 +151,18 @@ def test_the_agent_takes_over_and_the_goal_that_it_seems_to_pursue_is_told(page)
     now, places = page.evaluate("[lab.now, lab.episode.states.map(({ x, y }) => [x, y])]")
     assert now == len(places) - 1  # its idle time is neither played nor told of
     assert page.evaluate("lab.episode.ended") or places[now - 8] == places[now]
+
+
+def test_an_agent_that_picks_up_and_drops_in_its_place_is_not_idle(chrome):
+    turns = itertools.cycle([5, 6])  # pick, drop
+    juggler = Function(lambda seen: np.full(len(seen), next(turns)), "juggler", "symbolic")
+    shards = "@...\n..b.\n....\n....\n@ on s"
+    lab = make_lab(juggler, {"game": "pottery", "variant": "anywhere", "level": shards})
+    with lab_served(lab) as address, opened(chrome, address, ready="lab.agent") as (page, _):
+        page.locator("[data-lab=speed]").select_option("fast")
+        page.get_by_role("button", name="Hand over to the agent").click()
+        wait(page, "!lab.running && lab.now")
+        assert page.evaluate("lab.episode.ended && lab.now === lab.episode.actions.length")
 
 
 def test_the_object_of_the_goal_leads_and_panels_of_agents_need_one(chrome, served):

@@ -377,12 +377,11 @@ export class Lab {
     await this.think();
   }
 
-  // Whether an agent has stood in its place for a while, where nothing else moves.
+  // Whether an agent has stood in its place for a while, and changed nothing there.
   #idles() {
-    const { states } = this.episode;
-    const last = states.slice(Math.max(this.now - IDLE, 0), this.now + 1);
-    return !this.rules.real_time && last.length > IDLE &&
-      last.every(({ x, y }) => x === last[0].x && y === last[0].y);
+    const last = this.episode.states.slice(Math.max(this.now - IDLE, 0), this.now + 1);
+    const seen = new Set(last.map((s) => JSON.stringify([s.x, s.y, s.grid, s.picture])));
+    return !this.rules.real_time && last.length > IDLE && seen.size === 1;
   }
 
   #stop() {
