@@ -149,6 +149,12 @@ def averaged(agent, seen):
     return both(agent, seen)[0].mean(0, keepdim=True).expand(len(seen), -1)
 
 
+def dropped(agent, seen):
+    """Logits of a network whose dropout is on."""
+    logits = both(agent, seen)[0]
+    return logits + torch.rand_like(logits)
+
+
 class Forgetful(Recurrent):
     """It returns one row of logits for the whole batch."""
 
@@ -179,7 +185,8 @@ class Bare(Function):
             Network(Model(), SPACE, ask=lambda *_: both(*_)[0] * np.nan),
             "logits that are not finite",
         ),
-        (Network(Model(), SPACE, ask=averaged), "must give logits that depend on one observation"),
+        (Network(Model(), SPACE, ask=averaged), "change by .* with the others of its batch"),
+        (Network(Model(), SPACE, ask=dropped), "change by .* with every call, as with dropout"),
         (Network(Forgetful(), SPACE), "a network must give 16 rows, one per observation"),
         (Bare(), "what a policy returns must be a Answer; got array"),
         (Function(lambda seen, memory, begins: 3, remembers=True), "must return actions and its"),

@@ -253,7 +253,9 @@ def check_independent(
     copies = observation.expand(chunk, *observation.shape)
     change = (outputs(network, copies, chunk)[0][0] - logits).abs().max()
     if change > ROUNDED * logits.abs().max():
+        again = (outputs(network, copies, chunk)[0][0] - logits).abs().max()
+        cause = "the others of its batch" if again == change else "every call, as with dropout"
         raise ValueError(
             f"{name} must give logits that depend on one observation alone; those of the first "
-            f"change by {change:.2g} with the others of its batch"
+            f"change by {change:.2g} with {cause}"
         )
