@@ -11,6 +11,15 @@ from helpers.browsed import browser
 from helpers.cases import REFERENCE
 
 
+def pytest_configure():
+    """A process that was begun in the background ignores Ctrl+C, which ends environments that hang.
+
+    Tests of it would wait for ever.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def pytest_collection_modifyitems(items):
     """What waits most of its time comes first, so that others are done meanwhile."""
     items.sort(key=lambda item: item.get_closest_marker("waits") is None)
