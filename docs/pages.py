@@ -385,8 +385,10 @@ def face() -> str:
     rows = []
     for name, where in sorted(astray.FACE.items(), key=lambda item: item[0].lower()):
         there = getattr(astray, name)
-        about = (inspect.getdoc(there) or "").partition("\n")[0] if callable(there) else ""
-        rows.append((f"[`astray.{name}`][{where.replace(':', '.')}]", about))
+        path, about = where.replace(":", "."), ""
+        if callable(there):  # which may be written elsewhere
+            path, about = f"{there.__module__}.{name}", inspect.getdoc(there) or ""
+        rows.append((f"[`astray.{name}`][{path}]", about.partition("\n")[0]))
     return table(("name", "purpose"), rows)
 
 
