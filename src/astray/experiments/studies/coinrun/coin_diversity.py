@@ -224,7 +224,7 @@ def unmet(work: Work) -> str:
     return "; ".join(told) + ". Others are in a training under another number, as short ones often."
 
 
-def plan(size: Size, fractions: tuple[int, ...], seeds: int, levels: int, differences: str) -> Plan:
+def plan(size: Size, fractions: tuple[int, ...], seeds: int, levels: int) -> Plan:
     """Return a plan with agents for each fraction of random coins; 0 is shared by all studies."""
     agent = _agents.AGENTS[size]
     agents = {
@@ -233,12 +233,13 @@ def plan(size: Size, fractions: tuple[int, ...], seeds: int, levels: int, differ
         )
         for fraction in fractions
     }
+    fewer = "" if fractions == FRACTIONS else "three of the eight fractions; "
     return Plan(
         agents=agents,
         seeds=seeds,
         tests=TESTS,
         levels=levels,
-        differences=differences,
+        differences=fewer + _agents.DIFFERENCES[size],
         speed=_agents.SPEED.get(size, 0),
     )
 
@@ -249,35 +250,11 @@ EXPERIMENT = Experiment(
     question="How many training levels must have their coin elsewhere, for runners to look for "
     "the coin and not for the end of the level?",
     sizes={
-        "smoke": plan(
-            "smoke",
-            (0, 2, 20),
-            5,
-            500,
-            f"three of the eight fractions; {_agents.DIFFERENCES['smoke']}",
-        ),
-        "pixels": plan(
-            "pixels",
-            (0, 2, 20),
-            3,
-            500,
-            f"three of the eight fractions; {_agents.DIFFERENCES['pixels']}",
-        ),
-        "night": plan(
-            "night",
-            (0, 2, 20),
-            2,
-            1000,
-            f"three of the eight fractions; {_agents.DIFFERENCES['night']}",
-        ),
-        "hour": plan(
-            "hour",
-            (0, 2, 10),
-            1,
-            1000,
-            f"{_agents.DIFFERENCES['hour']}; three fractions of random coins instead of eight",
-        ),
-        "paper": plan("paper", FRACTIONS, 3, 10_000, ""),
+        "smoke": plan("smoke", (0, 2, 20), 5, 500),
+        "pixels": plan("pixels", (0, 2, 20), 3, 500),
+        "night": plan("night", (0, 2, 20), 2, 1000),
+        "hour": plan("hour", (0, 2, 10), 1, 1000),
+        "paper": plan("paper", FRACTIONS, 3, 10_000),
     },
     find=find,
 )
