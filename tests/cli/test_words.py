@@ -36,9 +36,7 @@ def test_every_verb_has_a_sentence_and_an_example_that_can_be_typed(verb):
     function = verbs.find(verb)
     text = inspect.getdoc(getattr(function, "func", function))
     assert re.match(r"[A-Z][^\n]*\.\n", text)
-    about, (example,) = text.split("Example:")[0], re.findall(r"^Example: astray (.*)$", text, re.M)
-    # tyro makes a line of each paragraph, which a terminal of 80 columns would break within words.
-    assert max(len(" ".join(part.split())) for part in about.split("\n\n")) <= 80
+    (example,) = re.findall(r"^Example: astray (.*)$", text, re.MULTILINE)
     name, *words = shlex.split(example)
     assert name == verb
     tyro.cli(silent(verb), args=words, config=verbs.MARKERS)
@@ -80,9 +78,7 @@ def test_set_means_knobs_and_settings_by_their_names():
     assert (both.learning_rate, both.knobs) == (1e-4, {"world": 5, "largest": 5})
     assert pairs((("variant.world=5",),)) == {"world": "5"}
     assert changed(base, pairs((("variant.largest=5", "anneal=false"),))).knobs == {"largest": 5}
-    shop = PRESETS["small"].changed(
-        game="pottery", variant="corner"
-    )  # has a knob named as a setting
+    shop = PRESETS["small"].changed(game="pottery", variant="corner")  # its knob: a setting's name
     assert changed(shop, pairs((("reward=careful",),))).knobs == {"reward": "careful"}
     assert axes(["lr=1e-4,5e-4", "largest=3,5"]) == axes(["lr=1e-4,5e-4", "variant.largest=3,5"])
     with pytest.raises(ValueError, match="unknown setting or knob 'squid'; there are: game"):
@@ -176,6 +172,17 @@ def test_help_begins_with_the_verbs_sentence_and_wraps_those_of_options(verb, ca
     assert told.splitlines()[0] in said and re.search("Example: astray", said)
     for sentence in re.findall(r"^    \w+: (.*(?:\n {8}.*)*)", told, re.MULTILINE):
         assert re.sub(r"\s+", " ", sentence).rstrip(".") in said
+
+
+@pytest.mark.parametrize("verb", ["explain", "list", "cache"])
+def test_help_is_in_lines_that_a_terminal_can_show(verb, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        verbs._parsed(verbs.find(verb), [verb, "--help"])
+    said, function = capsys.readouterr().out, verbs.find(verb)
+    assert max(map(len, said.splitlines())) <= 80
+    told = inspect.getdoc(getattr(function, "func", function)).split("\n\nArgs:")[0]
+    assert " ".join(told.split()) in " ".join(said.split())
 
 
 @pytest.mark.parametrize("words, line", [

@@ -38,7 +38,7 @@ def compare(
 ) -> None:
     """Write a page that compares agents and other policies in the same levels.
 
-    It shows rates and differences with intervals, learning curves and a video.
+    It shows outcomes and differences with intervals, learning curves and a video, side by side.
 
     Example: astray compare maze-corner walk:cheese random --shift corner-small
 

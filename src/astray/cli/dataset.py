@@ -21,7 +21,7 @@ def export(
     longest: Longest = None,
     out: Path = Path("dataset"),
 ) -> None:
-    """Write a policy's trajectories as a data set, in Parquet or in Minari's layout.
+    """Write the trajectories of a policy as a data set, in Parquet or in Minari's layout.
 
     Example: astray export maze-corner --levels 200000:200100 --out walks
 

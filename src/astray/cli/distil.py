@@ -27,9 +27,10 @@ def distil(
     folder: Annotated[Path | None, otherwise("runs/<game>-<variant>-of-<teacher>")] = None,
     track: Annotated[Tracking | None, otherwise("none")] = None,
 ) -> None:
-    """Distil an agent into students: they learn its policy and values as they play.
+    """Distil an agent into students, which learn its policy and values in episodes of their own.
 
-    Students ignore rewards. The same command resumes an interrupted training.
+    Students play only training levels, and ignore rewards. The same command resumes an interrupted
+    training.
 
     Example: astray distil maze-corner --observation image --steps 2000000
 

@@ -24,7 +24,7 @@ Benchmark = Literal[
 
 
 def list_(json: Json = False) -> None:
-    """List games, variants, shifts, experiments, agents and presets.
+    """List games, variants, shifts, experiments, pretrained and imported agents, and presets.
 
     Example: astray list
     """
@@ -136,9 +136,10 @@ def bench(
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",
 ) -> None:
-    """Measure speed in ratios within one run, also against other libraries.
+    """Measure speed in ratios within one run, and against other libraries where possible.
 
-    It needs a clone of the repository. "eyes" is how well networks learn to see.
+    The benchmarks need a clone of the repository. "eyes" compares what networks learn to see in
+    equal times.
 
     Example: astray bench environments
 

@@ -24,9 +24,10 @@ def explain(
 ) -> None:
     """Write a page that shows how a policy behaves in a level, and why.
 
-    By default the level is the first unseen one that distinguishes the goals.
-
-    For a policy without a network, the parts that need one say so.
+    The page shows policy and value at every place, the effects of edits to the level, the parts
+    that the value depends on, probes of the layers, the evidence for each goal, and the episode
+    step by step. By default the level is the first unseen one that distinguishes the goals. For a
+    policy without a network, the parts that need one say so.
 
     Example: astray explain maze-corner
 

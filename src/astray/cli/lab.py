@@ -27,9 +27,8 @@ def lab(
 ) -> None:
     """Open a page to edit levels and see any policy's actions and values everywhere.
 
-    With --game alone it shows a game's levels without an agent.
-
-    A policy without a network has no values; arrows show the actions it takes.
+    With --game alone it shows a game's levels without an agent. For a policy without a network,
+    arrows show the actions that it takes, and there are no values.
 
     Example: astray lab maze-corner --variant anywhere-small --level 17
 

@@ -62,7 +62,7 @@ def agents(
     unchecked: bool = False,
     json: Json = False,
 ) -> None:
-    """List, download or check agents that others published.
+    """List agents that others published, download one, or check one that was downloaded.
 
     Example: astray agents fetch openai-coinrun
 

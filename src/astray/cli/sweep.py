@@ -37,9 +37,10 @@ def sweep(
     on: Place = "here",
     track: Annotated[Tracking | None, otherwise("none")] = None,
 ) -> None:
-    """Train agents for every combination of settings, and report what they pursue.
+    """Train agents for every combination of settings, and report which goals they pursue.
 
-    The same command resumes an interrupted sweep; more values or seeds extend it.
+    The same command resumes an interrupted sweep; more values or seeds extend it. Finished
+    trainings are kept.
 
     Example: astray sweep maze corner-small --set lr=1e-4,5e-4 --set world=5,7 --seeds 3
 

@@ -7,7 +7,9 @@ import inspect
 import io
 import logging
 import re
+import shutil
 import sys
+import textwrap
 import warnings
 from collections.abc import Callable, Iterator
 from difflib import get_close_matches
@@ -87,12 +89,23 @@ def _parsed(verb: Callable[..., Any], given: list[str]) -> Callable[[], Any]:
     refused = io.StringIO()
     try:
         with contextlib.redirect_stderr(refused):
-            return tyro.cli(call, prog=f"astray {given[0]}", args=given[1:], config=MARKERS)
+            return tyro.cli(
+                call, prog=f"astray {given[0]}", args=given[1:], config=MARKERS,
+                description=_in_lines(call.__doc__ or ""),
+            )  # fmt: skip
     except SystemExit:
         if line := _mistake(call, given, _in_a_line(refused.getvalue())):
             raise ValueError(line) from None
         sys.stderr.write(refused.getvalue())
         raise
+
+
+def _in_lines(docstring: str) -> str:
+    """Return the paragraphs before the sections, in lines that fit: tyro joins unindented lines."""
+    about = re.split(r"\n\n\w+:\n", inspect.cleandoc(docstring))[0]
+    width = shutil.get_terminal_size().columns
+    wrap = functools.partial(textwrap.fill, width=width, subsequent_indent="  ")
+    return "\n\n".join(map(wrap, about.split("\n\n")))
 
 
 def _in_a_line(text: str) -> str:

@@ -125,12 +125,10 @@ def success_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
 def first_table(apart: pl.DataFrame, regions: Mapping[str, int]) -> pl.DataFrame:
     """Return the rate of each outcome: outcome, region, mean, low, high."""
     return pl.DataFrame(
-        [
-            {"outcome": outcome, "region": side}
-            | _rates(estimate_mean(matrix(of(apart, name), pl.col("outcome") == outcome)))
-            for outcome in OUTCOMES
-            for name, side in regions.items()
-        ]
+        {"outcome": outcome, "region": side}
+        | _rates(estimate_mean(matrix(of(apart, name), pl.col("outcome") == outcome)))
+        for outcome in OUTCOMES
+        for name, side in regions.items()
     )
 
 
@@ -144,11 +142,9 @@ def at_end_of_training(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
     for name, side in regions.items():
         seeds = curves.filter(agent=name).partition_by("seed")
         ends = [s.sort("steps")["training/return"].tail(-(-len(s) // LAST)).mean() for s in seeds]
-        middle, *between = over_agents(np.array(ends, float)[:, None] / REWARD)[:, 0]
+        mean, *between = over_agents(np.array(ends, float)[:, None] / REWARD)[:, 0]
         low, high = np.clip(between, 0, 1)
-        rows.append(
-            {"who": "in training", "region": side, "mean": middle, "low": low, "high": high}
-        )
+        rows.append({"who": "in training", "region": side, "mean": mean, "low": low, "high": high})
     return pl.DataFrame(rows).fill_nan(None)
 
 
