@@ -126,7 +126,7 @@ def test_an_unknown_shift_is_explained():
 
 
 def test_no_levels_are_refused():
-    with pytest.raises(ValueError, match="no levels"):
+    with pytest.raises(ValueError, match="levels are numbers, at least one"):
         evaluate(Random(), "maze", "corner", [])
 
 
