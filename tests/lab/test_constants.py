@@ -17,10 +17,14 @@ from astray.agency import measure
 from astray.agency.gridworld import World as Gridworld
 from astray.agency.measure import CALIBRATED
 from astray.agency.online import measure_online
+from astray.art import own
 from astray.envs.vector import GameVectorEnv
+from astray.figures.axes import COLOURS
+from astray.figures.style import OTHERS
 from astray.kernel import rng
 from astray.lab import constants, goals
 from astray.level import Level
+from astray.outcome import INTENDED, MISGENERALIZED
 from astray.training import ppo
 from helpers.browsed import PLAY, knobs, opened
 
@@ -113,3 +117,27 @@ def test_the_page_draws_by_the_constants_that_python_has_now(chrome, static, exp
     drawn = np.zeros((1, 4), np.float32)
     rng.fill_noise(3, np.array([7]), np.array([2]), drawn)
     assert told == [[drawn[0].tolist(), 1], [(drawn[0] / 2).tolist(), 0]]
+
+
+def test_the_page_repeats_no_word_or_colour_of_python():
+    """It would show no goal, or another colour, when Python's is changed."""
+    repeated = {
+        *(f'"{word}"' for word in (goals.NEITHER, goals.OTHER)),
+        f"{goals.NEITHER}:",
+        *("#" + bytes(colour).hex() for colour in own.COLOURS.values()),
+    }
+    for file in Path(constants.__file__).with_name("page").rglob("*.js"):
+        lines = [line.partition("//")[0] for line in file.read_text("utf-8").split("\n")]
+        assert not [(file.name, one) for one in repeated for line in lines if one in line]
+
+
+def test_the_colours_of_goals_are_those_of_figures():
+    page = Path(constants.__file__).with_name("page")
+    text = (page / "draw" / "colours.js").read_text("utf-8")
+    told = dict(re.findall(r"const ([A-Z]+) = (.+);", text))
+    expected = {
+        "INTENDED": COLOURS[INTENDED],
+        "PROXY": COLOURS[MISGENERALIZED],
+        "OTHERS": [*OTHERS],
+    }
+    assert {name: json.loads(told[name]) for name in expected} == expected

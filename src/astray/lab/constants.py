@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from astray import record
+from astray.art import own
 from astray.games.coinrun import cells as coinrun_cells
 from astray.games.coinrun import draw as coinrun_draw
 from astray.games.coinrun import rules as coinrun_rules
@@ -30,7 +31,7 @@ EXACT = 2**53  # up to which JavaScript keeps every integer
 PATH = "rules/constants.js"  # from the page
 # By the name that JavaScript imports: modules, and the names in them.
 TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
-    "common": ((grid, "ACTIONS MOVES STAY"), (maze, "WALL"), (record, "NEVER")),
+    "common": ((grid, "ACTIONS MOVES STAY"), (maze, "WALL"), (record, "NEVER"), (own, "COLOURS")),
     "twister": ((rng, "WORDS MIDDLE SEED_FACTOR TWIST HIGH_BIT LOW_31 TEMPER_B TEMPER_C"),),
     "noises": ((rng, "GAMMA MIX_1 MIX_2 TO_UNIT"), (ppo, "BELOW_ONE")),
     "grid": ((abilities, "OVER"),),

@@ -1,7 +1,7 @@
 // Panels around the world: choices, sentences, charts.
 
 import { drawPosterior, stepAt } from "./draw/charts.js";
-import { goalColours, heat, signed } from "./draw/colours.js";
+import { goalColours, heat, signed, words } from "./draw/colours.js";
 import { meanWay, rateOfWays } from "./draw/arrows.js";
 import { drawSight } from "./draw/sight.js";
 import { save } from "./files.js";
@@ -401,7 +401,7 @@ export class Panels {
     const colours = goalColours(this.shift, Object.keys(found.goals));
     drawPosterior(canvas, found, colours, now);
     const told = Object.entries(found.goals).map(([name, row]) => `${name} ${percent(row[now])}`);
-    const many = found.goals["another cell"]?.[now] > 0.5 ? " One way fits many cells: compare the goals that have names." : "";
+    const many = found.goals[words.OTHER]?.[now] > 0.5 ? " One way fits many cells: compare the goals that have names." : "";
     const agent = found.agent ? ` The probability that it pursues any goal is ${percent(found.agent[now])}.` : "";
     part("verdict").textContent = `After ${now} steps, if it pursues a goal: ${told.join(", ")}.${many}${agent}`;
     const names = Object.keys(found.goals).map((name) => [colours[name], named(lab, name)]);
@@ -421,9 +421,9 @@ export class Panels {
     line.className = "soft";
     const draws = total === places ? "" : `, ${total} episodes`;
     line.textContent = `${places} of ${of} places${draws}. A mark shows where it goes first.`;
-    const order = [this.shift?.intended, ...(this.shift?.proxies ?? []), "neither"].filter((g) => g in counts);
+    const order = [this.shift?.intended, ...(this.shift?.proxies ?? []), words.NEITHER].filter((g) => g in counts);
     part("counts").replaceChildren(line, ...order.map((goal) =>
-      bar(goal === "neither" ? "✕ neither"
+      bar(goal === words.NEITHER ? `✕ ${goal}`
         : `${goal === this.shift?.intended ? "●" : "◆"} first to the ${named(lab, goal)}`, counts[goal], total, colours[goal])));
     part("unsplay").hidden = false;
   }

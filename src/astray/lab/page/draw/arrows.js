@@ -1,6 +1,6 @@
 // The agent's actions at all places, drawn over the world: arrows, bars, heat, splays, routes.
 
-import { heat, signed } from "./colours.js";
+import { heat, signed, words } from "./colours.js";
 
 const LEAST = 0.04; // of an arrow that is drawn at all
 
@@ -132,7 +132,7 @@ export function drawSplay({ paint, scale, top }, splay, colours, edge, intended)
         if (count < total) paint.moveTo(cx, cy);
         paint.arc(cx, cy, radius, angle, after);
       } else {
-        const cross = goal === "neither";
+        const cross = goal === words.NEITHER;
         const [long, thin] = cross ? [radius, 0.35 * radius] : [1.15 * radius, 0.81 * radius];
         for (let k = 0; k < 8; k++) {
           const [far, turn] = [k % 2 ? thin : long, ((k + Number(cross)) * Math.PI) / 4];

@@ -1,13 +1,15 @@
 // Colours that every kind of colour vision tells apart: those of the reports' figures.
 
+import { goals as words } from "../rules/constants.js";
+export { words };
+
 export const INTENDED = "#2fa393";
 export const PROXY = "#f0a03c";
-export const NEITHER = "#b9b9b2";
 const OTHERS = ["#2e6db4", "#b5446e", "#6b5b95", "#8a6d1f"];
 
 // The colour of each goal of a shift, of "neither" and of "another cell".
 export function goalColours(shift, goals = []) {
-  const colours = { neither: NEITHER, "another cell": NEITHER };
+  const colours = { [words.NEITHER]: "#b9b9b2", [words.OTHER]: "#b9b9b2" };
   if (!shift) return colours;
   const named = [shift.intended, ...shift.proxies];
   colours[shift.intended] = INTENDED;

@@ -1,9 +1,6 @@
 // Drawings of a game, ready to be drawn on a canvas.
 
-const TINTS = {
-  yellow: "#ffdc00", red: "#fa1e1e", green: "#14e12d", blue: "#2864ff", magenta: "#ff1edc",
-  cyan: "#00ebf5",
-};
+import { common } from "../rules/constants.js";
 
 export class Pictures {
   // drawings: SVG by name; changed: called when one more can be drawn.
@@ -34,7 +31,7 @@ export class Pictures {
       const paint = canvas.getContext("2d");
       paint.drawImage(image, 0, 0);
       paint.globalCompositeOperation = "multiply";
-      paint.fillStyle = TINTS[colour] ?? "#fff";
+      paint.fillStyle = `rgb(${common.COLOURS[colour] ?? [255, 255, 255]})`;
       paint.fillRect(0, 0, canvas.width, canvas.height);
       paint.globalCompositeOperation = "destination-in";
       paint.drawImage(image, 0, 0);
