@@ -7,6 +7,7 @@ import pytest
 
 from astray import games
 from astray.analysis.outcomes import load_shift
+from astray.envs.vector import GameVectorEnv
 from astray.experiments import run, spec
 from astray.experiments.spec import Experiment, Plan
 from astray.experiments.sweep.settings import Sweep
@@ -137,3 +138,25 @@ def test_a_game_without_an_agent_is_exported_with_the_variant_that_is_named(tmp_
     exporting.export(lab, tmp_path / "site", 1, ["maze-corner"], {"heist": "near-small"})
     there = json.loads((tmp_path / "site" / "data" / "index.json").read_text())["games"]
     assert [*there["heist"]["variants"]] == ["hard", "near", "near-small"]
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (("--layers", "features.nope"), "unknown layer 'features.nope'; there are: "),
+        (("--out", "file"), "File exists: 'file'"),
+    ],
+)
+def test_an_explanation_that_cannot_be_is_refused_before_a_level_is_looked_for(
+    astray, tmp_path, monkeypatch, words, said
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setattr(GameVectorEnv, "reset", lambda *_, **__: pytest.fail("it was played"))
+    assert said in astray("explain", "maze-corner", *words, fails=True)
+
+
+@pytest.mark.parametrize("game, variant", [("boat", "race"), ("monsters", "short")])
+def test_a_solver_that_has_no_event_to_walk_to_is_refused_with_the_reason(astray, game, variant):
+    words = ("train", game, variant, "--teacher", "solver")
+    assert f"there are: none in {game}" in astray(*words, fails=True)

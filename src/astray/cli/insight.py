@@ -50,6 +50,11 @@ def explain(
     player.policy.check_game("explain")
     policy, game, name, levels, named, config = player.open()
     agent = looked_into(policy, game)
+    reads = tuple(layers.split(",")) if layers else default_layers(agent)
+    if reads:
+        check_layers(agent, reads)  # pyright: ignore[reportArgumentType]
+    check_free(out, PAGE, SIGN, ())
+    check_writable(out / PAGE)
     unseen = config.unseen_levels if config else range(MOST_LEVELS + 2)
     number = level.find(game, levels)
     if number is None:
@@ -61,11 +66,6 @@ def explain(
     else:
         drawn, where = number, f"{name} {level.level_file}"
         given = f"--level-file {command_of(str(level.level_file))}"
-    reads = tuple(layers.split(",")) if layers else default_layers(agent)
-    if reads:
-        check_layers(agent, reads)  # pyright: ignore[reportArgumentType]
-    check_free(out, PAGE, SIGN, ())
-    check_writable(out / PAGE)
     # Probes do not learn from the level that they read.
     after = [one for one in unseen[1 : others + 2] if one != number][:others]
     told: dict[str, Any] = {"lab": f"astray lab {player.words} --variant {name} {given}"}

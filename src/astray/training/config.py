@@ -229,7 +229,7 @@ class Config:
             for shift in shifts:
                 if variant in (shift.train, shift.test):
                     return shift.intended
-        known = ", ".join(dict.fromkeys(shift.train for shift in shifts))
+        known = ", ".join(dict.fromkeys(shift.train for shift in shifts)) or f"none in {game.name}"
         raise ValueError(
             "score 'regret' and a solver as teacher need a variant of a shift, which names the "
             f"goal; got {self.variant!r}, and there are: {known}"
