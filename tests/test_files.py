@@ -76,6 +76,16 @@ def test_no_folder_is_left_of_what_was_not_written(tmp_path):
     assert [path.name for path in tmp_path.rglob("*")] == ["there"]
 
 
+def test_a_folder_without_room_is_told_by_its_own_name(tmp_path, full_disk):
+    full_disk(10)
+    said = pytest.raises(OSError, match=r"large; nothing was written: '[^']*[^.]site.page'$")
+    with said, folder_aside(tmp_path / "site") as aside:
+        write_aside(aside / "page", bytes(99))
+    with pytest.raises(OSError, match=r"^the hub is closed$"), folder_aside(tmp_path / "site"):
+        raise OSError("the hub is closed")
+    assert not list(tmp_path.iterdir())
+
+
 def test_what_killed_processes_left_is_removed_and_nothing_else(tmp_path):
     there = home(tmp_path)
     left = aside_of(tmp_path / "2048")

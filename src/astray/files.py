@@ -125,6 +125,11 @@ def folder_aside(path: Path) -> Iterator[Path]:
     try:
         aside.mkdir()
         yield aside
+    except OSError as error:
+        if aside.name not in str(error.filename):
+            raise
+        told = str(error.filename).replace(aside.name, path.name)
+        raise OSError(error.errno, error.strerror, told) from error
     finally:
         if os.path.exists(aside):  # pathlib would raise where the name is too long
             shutil.rmtree(aside, ignore_errors=True)

@@ -130,7 +130,7 @@ def test_a_card_says_what_an_evaluation_finds(astray, mouse):
     )
     card = (mouse / "README.md").read_text()
     assert f"| `anywhere-small` | the agent | {told} |" in card
-    assert "in 40 levels" in card and "proxy `corner`" in card
+    assert "in 40 levels" in card and "proxy `corner`" in card and "| None |" not in card
 
 
 def test_a_kept_agent_stands_for_its_run_folder(astray, run, mouse, tmp_path):

@@ -319,3 +319,12 @@ def test_a_link_has_a_level_that_was_not_exported(chrome, static, game, variant,
         assert page.evaluate("lab.part('variant').value") == variant
         assert page.evaluate("lab.part('agent').value") == agent
         assert not told
+
+
+@pytest.mark.parametrize("most", [700, 300_000])  # bytes of a file: of the page, of the weights
+def test_an_export_without_room_names_its_folder_and_leaves_nothing(tmp_path, full_disk, most):
+    lab = make_lab("maze-corner", {})
+    full_disk(most)
+    with pytest.raises(OSError, match=r"large; nothing was written: '[^']*[^.]site\b[^']*'$"):
+        export(lab, tmp_path / "site", levels=1, agents=["maze-corner"])
+    assert not list(tmp_path.iterdir())

@@ -115,9 +115,7 @@ def _write_page(folder: Path) -> None:
     for path, (data, _) in files().items():
         if path == "widget.js":
             continue
-        to = folder / path
-        to.parent.mkdir(parents=True, exist_ok=True)
-        to.write_bytes(data.replace(b'data-engine="socket"', b'data-engine="static"'))
+        _write(folder / path, data.replace(b'data-engine="socket"', b'data-engine="static"'))
 
 
 def _write_data(
@@ -133,9 +131,7 @@ def _write_data(
         told = about_game(game)
         names = {"variants", "knobs"}
         if grid.world_of(game):
-            write_aside(
-                folder.parent / "rules" / f"{game.name}.js", translate.module(game).encode()
-            )
+            _write(folder.parent / "rules" / f"{game.name}.js", translate.module(game).encode())
         found[game.name] = told | {n: {v: told[n][v] for v in variants} for n in names}
         for name in variants:
             data = {"levels": _levels(game, game.variant(name), levels)}
@@ -215,15 +211,13 @@ def _write_agent(
 ) -> None:
     told.pop("layers", None)
     if agent.architecture.name == COMPUTED:
-        path = folder / "agents" / f"{name}.safetensors"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(agent.path.read_bytes())
+        _write(folder / "agents" / f"{name}.safetensors", agent.path.read_bytes())
         return
     game = config.find_game()
     variant = config.variant_for(told["test"])
     index, data = table(agent, game, variant, levels)
     _write(folder / "agents" / f"{name}.json", index)
-    (folder / "agents" / f"{name}.bin").write_bytes(data)
+    _write(folder / "agents" / f"{name}.bin", data)
     told["variants"] = [told["test"]]
     told["table"] = {"path": f"data/agents/{name}.json", "bytes": f"data/agents/{name}.bin"}
 
@@ -277,5 +271,7 @@ def table(
 
 
 def _write(path: Path, data: Any) -> None:
+    """Write bytes as they are, and other data as JSON."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_aside(path, json.dumps(data, separators=(",", ":")).encode())
+    is_bytes = isinstance(data, bytes)
+    write_aside(path, data if is_bytes else json.dumps(data, separators=(",", ":")).encode())

@@ -149,7 +149,8 @@ def read_config(run: Path) -> Config:
     except FileNotFoundError:
         raise FileNotFoundError(f"{run} is not a run: it has no {CONFIG}") from None
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
-        raise ValueError(f"{path} is not the settings of a run: {error}") from error
+        said = str(error).replace(f"{path}", "it")
+        raise ValueError(f"{path} is not the settings of a run: {said}") from error
 
 
 def read_json(path: Path, kind: type, names: Sequence[str] = ()) -> Any:

@@ -17,6 +17,7 @@ from astray.record import NEVER, check_states
 from astray.validation import bounded, integers, of_kind, one_of
 
 CONSTANT, IDENTITY, BINOMIAL = range(len(MUTATIONS))
+MOST_SEED = 2**32 - 1  # of the twister, which would take a larger one as another
 WEIGHTS = 12  # of a binomial edit: 1 the goal, 1 the mouse, 10 a wall
 
 
@@ -41,13 +42,17 @@ def mutate(
     """
     of_kind("variant", variant, Maze)
     check_states(states, "maze", rules, functools.partial(invariants, variant=variant))
-    numbers = integers(seeds, "seeds").astype(np.int64)
+    numbers = integers(seeds, "seeds")
     if numbers.shape != states.shape:
         raise ValueError(f"seeds must be {len(states)}, one for each state; got {numbers.shape}")
+    for seed in (numbers.min(initial=0), numbers.max(initial=0)):
+        bounded("seeds", seed, 0, MOST_SEED)
     bounded("edits", edits, 0, MOST_EDITS)
     one_of("kind", kind, Mutation)
     changed = np.array(states, STATE)
-    edit_all(changed, variant.records(), numbers, int(edits), MUTATIONS.index(kind))
+    edit_all(
+        changed, variant.records(), numbers.astype(np.int64), int(edits), MUTATIONS.index(kind)
+    )
     return changed
 
 
