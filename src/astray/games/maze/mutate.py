@@ -45,7 +45,7 @@ def mutate(
     numbers = integers(seeds, "seeds")
     if numbers.shape != states.shape:
         raise ValueError(f"seeds must be {len(states)}, one for each state; got {numbers.shape}")
-    for seed in (numbers.min(initial=0), numbers.max(initial=0)):
+    for seed in map(int, (numbers.min(initial=0), numbers.max(initial=0))):
         bounded("seeds", seed, 0, MOST_SEED)
     bounded("edits", edits, 0, MOST_EDITS)
     one_of("kind", kind, Mutation)
