@@ -232,7 +232,7 @@ def settings(server, **changes):
         (lambda s: {WEIGHTS: b"\x80\x04cos\nsystem\n"}, "holds no agent that can be used"),
         (lambda s: {"config.json": b"[]"}, "is not the settings of a run"),
         (lambda s: {"config.json": b"[" * 9}, r"used: ada/mouse.config.json is .*: it is not JSON"),
-        (lambda s: {"README.md": b"# A mouse, \xff"}, "ada/mouse: its README.md must be UTF-8"),
+        (lambda s: {"README.md": b"# A mouse, \xff"}, "can be used: 'utf-8' codec can't decode"),
         (lambda s: {"config.json": settings(s, game="coinrun", variant="coin-end",
                                             validation=None)},
          "of the game 'maze', not of 'coinrun'"),

@@ -339,13 +339,10 @@ def _check_agent(repository: str, folder: Path) -> None:
         its = AgentFolder.open(folder)
         config, path = its.config(), its.weights
         _, architecture = policy.load(path, config.game)
+        its.card.read_text(encoding="utf-8")
     except (ValueError, OSError) as error:
         said = brief(str(error).replace(str(folder), repository))
         raise ValueError(f"{repository} holds no agent that can be used: {said}") from error
-    try:
-        its.card.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{repository}: its {CARD} must be UTF-8: {error}") from error
     wanted = (config.network, _observed(config), len(config.find_game().actions))
     given = (architecture.name, architecture.shape, architecture.actions)
     if given != wanted or not holds_only(path.parent, (path.name,)):

@@ -17,7 +17,6 @@ from astray.record import NEVER, check_states
 from astray.validation import bounded, integers, of_kind, one_of
 
 CONSTANT, IDENTITY, BINOMIAL = range(len(MUTATIONS))
-MOST_SEED = 2**32 - 1  # of the twister, which would take a larger one as another
 WEIGHTS = 12  # of a binomial edit: 1 the goal, 1 the mouse, 10 a wall
 
 
@@ -46,13 +45,12 @@ def mutate(
     if numbers.shape != states.shape:
         raise ValueError(f"seeds must be {len(states)}, one for each state; got {numbers.shape}")
     for seed in map(int, (numbers.min(initial=0), numbers.max(initial=0))):
-        bounded("seeds", seed, 0, MOST_SEED)
+        bounded("seeds", seed, 0, 2**32 - 1)  # the twister takes a larger one as another
     bounded("edits", edits, 0, MOST_EDITS)
     one_of("kind", kind, Mutation)
     changed = np.array(states, STATE)
-    edit_all(
-        changed, variant.records(), numbers.astype(np.int64), int(edits), MUTATIONS.index(kind)
-    )
+    numbers = numbers.astype(np.int64)
+    edit_all(changed, variant.records(), numbers, int(edits), MUTATIONS.index(kind))
     return changed
 
 

@@ -266,13 +266,11 @@ EXPERIMENT = Experiment(
     title="What the critic looks at",
     reproduces="Figure 8",
     question="What in view does the critic's value depend on: the coin, the end wall, hazards?",
-    sizes={
-        "smoke": _agents.plan("smoke", 10, 100, first_seed=20, visited=TESTS),
-        "pixels": _agents.plan("pixels", 3, 100, visited=TESTS),
-        "hour": _agents.plan("hour", 1, 200, visited=TESTS),
-        "paper": _agents.plan("paper", 3, 500, visited=TESTS),
-        "published": _agents.plan("published", 1, 120, visited=BRIEF),
-    },
+    sizes=_agents.plans(
+        dict(smoke=100, pixels=100, hour=200, paper=500, published=120),
+        visited=TESTS,
+        published={"visited": BRIEF},
+    ),
     find=find,
     needs={"captum": "insight"},
 )

@@ -242,13 +242,10 @@ EXPERIMENT = Experiment(
     title="What the critic values",
     reproduces="Figure 6",
     question="Does the critic value the coin, or the end of the level, where the coin always was?",
-    sizes={
-        "smoke": _agents.plan("smoke", 10, 300, first_seed=20, visited=TESTS),
-        "pixels": _agents.plan("pixels", 3, 300, visited=TESTS),
-        "night": _agents.plan("night", 2, 300, visited=TESTS),
-        "hour": _agents.plan("hour", 1, 500, visited=TESTS),
-        "paper": _agents.plan("paper", 3, 1000, visited=TESTS),
-        "published": _agents.plan("published", 1, 300, visited=BRIEF),
-    },
+    sizes=_agents.plans(
+        dict(smoke=300, pixels=300, night=300, hour=500, paper=1000, published=300),
+        visited=TESTS,
+        published={"visited": BRIEF},
+    ),
     find=find,
 )

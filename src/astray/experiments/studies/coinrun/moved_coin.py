@@ -280,13 +280,6 @@ EXPERIMENT = Experiment(
     title="The moved coin",
     reproduces="the question of Figure 2",
     question="Is a coin taken because it is seen, or because it lies where the runner comes by?",
-    sizes={
-        "smoke": _agents.plan("smoke", 10, 1000, first_seed=20, visited=TESTS),
-        "pixels": _agents.plan("pixels", 3, 1000, visited=TESTS),
-        "night": _agents.plan("night", 2, 1000, visited=TESTS),
-        "hour": _agents.plan("hour", 1, 1000, visited=TESTS),
-        "paper": _agents.plan("paper", 3, 1000, visited=TESTS),
-        "published": _agents.plan("published", 1, 1000, visited=TESTS),
-    },
+    sizes=_agents.plans(dict.fromkeys(_agents.SEEDS, 1000), visited=TESTS),
     find=find,
 )

@@ -285,13 +285,10 @@ EXPERIMENT = Experiment(
     reproduces="Figure 7",
     question="Do actor and critic pursue the same? A wall that lets pass tells moving right from "
     "moving to the wall.",
-    sizes={
-        "smoke": _agents.plan("smoke", 10, 200, first_seed=20, **PLAYED),
-        "pixels": _agents.plan("pixels", 3, 200, **PLAYED),
-        "night": _agents.plan("night", 2, 200, **PLAYED),
-        "hour": _agents.plan("hour", 1, 300, **PLAYED),
-        "paper": _agents.plan("paper", 3, 1000, **PLAYED),
-        "published": _agents.plan("published", 1, 150, **PLAYED | {"tests": BRIEF}),
-    },
+    sizes=_agents.plans(
+        dict(smoke=200, pixels=200, night=200, hour=300, paper=1000, published=150),
+        **PLAYED,
+        published={"tests": BRIEF},
+    ),
     find=find,
 )

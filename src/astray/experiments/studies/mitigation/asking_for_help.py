@@ -299,7 +299,7 @@ EXPERIMENT = Experiment(
             "trained for minutes; intervals are over levels alone; the expert is the solver, where "
             "theirs are trained agents; none of the same training to disagree with",
         ),
-        "published": coin.plan(PUBLISHED, 1, 100),
+        **coin.plans({PUBLISHED: 100}),
     },
     find=find,
 )
