@@ -126,10 +126,9 @@ def folder_aside(path: Path) -> Iterator[Path]:
         aside.mkdir()
         yield aside
     except OSError as error:
-        if aside.name not in str(error.filename):
-            raise
-        told = str(error.filename).replace(aside.name, path.name)
-        raise OSError(error.errno, error.strerror, told) from error
+        if error.filename:  # is to name a file that the user knows
+            error.filename = str(error.filename).replace(aside.name, path.name)
+        raise
     finally:
         if os.path.exists(aside):  # pathlib would raise where the name is too long
             shutil.rmtree(aside, ignore_errors=True)

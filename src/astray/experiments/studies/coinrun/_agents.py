@@ -67,7 +67,7 @@ DIFFERENCES: Mapping[Size, str] = {
     "intervals are over levels alone",
 }
 AGENT = {RUNNER: "openai-coinrun"}
-SEEDS: dict[Size, int] = dict(smoke=10, pixels=3, night=2, hour=1, paper=3, published=1)
+SEEDS: dict[Size, int] = {"smoke": 10, "pixels": 3, "night": 2, "hour": 1, "paper": 3, PUBLISHED: 1}
 # Blind to all: what it takes, it comes by.
 RIGHT_AND_JUMP = Function(
     lambda seen: np.full(len(seen), ACTIONS.index("right-up")), "right and jump", "symbolic"
@@ -75,7 +75,7 @@ RIGHT_AND_JUMP = Function(
 
 
 def plans(
-    levels: Mapping[Size, int], *, published: Mapping[str, Any] | None = None, **more: Any
+    levels: Mapping[Size, int], *, published: dict[str, Any] | None = None, **more: Any
 ) -> dict[Size, Plan]:
     """Return plans of the runners of the end, by size; `published` is what that one has alone."""
     found: dict[Size, Plan] = {}

@@ -243,7 +243,7 @@ EXPERIMENT = Experiment(
     reproduces="Figure 6",
     question="Does the critic value the coin, or the end of the level, where the coin always was?",
     sizes=_agents.plans(
-        dict(smoke=300, pixels=300, night=300, hour=500, paper=1000, published=300),
+        {"smoke": 300, "pixels": 300, "night": 300, "hour": 500, "paper": 1000, "published": 300},
         visited=TESTS,
         published={"visited": BRIEF},
     ),

@@ -286,7 +286,7 @@ EXPERIMENT = Experiment(
     question="Do actor and critic pursue the same? A wall that lets pass tells moving right from "
     "moving to the wall.",
     sizes=_agents.plans(
-        dict(smoke=200, pixels=200, night=200, hour=300, paper=1000, published=150),
+        {"smoke": 200, "pixels": 200, "night": 200, "hour": 300, "paper": 1000, "published": 150},
         **PLAYED,
         published={"tests": BRIEF},
     ),
