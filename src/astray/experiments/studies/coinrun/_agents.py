@@ -77,7 +77,7 @@ RIGHT_AND_JUMP = Function(
 def plans(
     levels: Mapping[Size, int], *, published: dict[str, Any] | None = None, **more: Any
 ) -> dict[Size, Plan]:
-    """Return plans of the runners of the end, by size; `published` is what that one has alone."""
+    """Return plans of runners of the end, by size; `published` has other arguments for its size."""
     found: dict[Size, Plan] = {}
     for size, count in levels.items():
         its = more | ((published or {}) if size == PUBLISHED else {})
