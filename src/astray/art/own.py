@@ -4,13 +4,21 @@ All run-time arithmetic is on integers of the committed PNGs, so every machine g
 `python -m astray.art.own` renders the PNGs again after an SVG was edited.
 """
 
+import functools
 import hashlib
 import io
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
+
+from astray.game import OWN, Looks, Variant
+from astray.kernel.maze import cell_pixels, scene_pixels
+from astray.kernel.stage import turned
+from astray.kernel.thief import HALF
 
 # Saturated, and neither as dark as a floor nor as pale as a wall or the mouse.
 COLOURS: dict[str, tuple[int, int, int]] = {
@@ -21,9 +29,8 @@ COLOURS: dict[str, tuple[int, int, int]] = {
     "magenta": (255, 30, 220),
     "cyan": (0, 235, 245),
 }
-
-
 FLOOR = 256  # pixels of a floor's height; larger pictures repeat them
+ICON = (0.06, 0.045)  # height and width of a key in hand, of the picture's side
 
 
 def load(folder: Path, name: str, *size: int) -> np.ndarray:
@@ -95,6 +102,42 @@ def tint(image: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     """Multiply a white `image` [H, W, 4] by `colour` / 255; alpha stays."""
     factor = np.array([*colour, 255], np.int64)
     return _divide(image.astype(np.int64) * factor, 255).astype(np.uint8)
+
+
+def thief_looks(
+    folder: Path, background: Callable, foreground: Callable, things: Callable[..., Iterable]
+) -> Looks:
+    """Return the looks of a game of `kernel.stage`, whose pictures are in `folder`.
+
+    Its art is: floors [F, h, 2h, 3], wall [S, S, 3], thief by action [9, T, T, 4], and `things`. S
+    is a cell's side, rounded up.
+
+    Args:
+        things: Function (load, cells, icon) -> pictures of objects and keys in hand, where
+            `cells(n)` are height and width of n cells, and `icon` those of a key in hand, pixels.
+    """
+
+    @functools.cache
+    def pictures(scale: float, world: int, pixels: int) -> tuple[np.ndarray, ...]:
+        def cells(count: float) -> tuple[int, int]:
+            return (int(np.ceil(count * scale)),) * 2
+
+        drawn, body = functools.partial(load, folder), cells(2 * HALF)
+        icon = tuple(max(round(fraction * pixels), 1) for fraction in ICON)
+        wall = drawn("wall-brick", *cells(1))[..., :3]
+        thief = turned(drawn("thief-right", *body), drawn("thief-right-up", *body))
+        made = (floors(folder, world * scale), wall, thief, *things(drawn, cells, icon))
+        # All contiguous, or compiled code would be compiled anew for another layout.
+        return tuple(map(np.ascontiguousarray, made))
+
+    def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
+        p: Any = variant
+        return pictures(cell_pixels(variant, pixels), p.world, pixels)
+
+    def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
+        return scene_pixels(variant, pixels, 2)  # with the objects that are left, and without
+
+    return Looks(OWN, background, foreground, art, scene_shape)
 
 
 def digest(svg: Path) -> str:

@@ -1,31 +1,19 @@
 """Heist as pictures, at any scale, and as symbolic planes."""
 
-import functools
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from astray.art import own
-from astray.game import OWN, Looks, Variant
+from astray.game import OWN, Variant
 from astray.games.heist.rules import COLOURS, DOOR_CODE, GEM, KEY
 from astray.kernel.canvas import blit, pixel
 from astray.kernel.jit import kernel
-from astray.kernel.maze import (
-    cell_pixels,
-    margin,
-    paint_walls,
-    scene_cells,
-    scene_pixels,
-    show,
-    show_planes,
-    spread,
-)
-from astray.kernel.stage import STRIPS, clear_gone, draw_thief, lay, mark_thief, paint_bare, turned
-from astray.kernel.thief import HALF
+from astray.kernel.maze import margin, paint_walls, scene_cells, show, show_planes, spread
+from astray.kernel.stage import STRIPS, clear_gone, draw_thief, lay, mark_thief, paint_bare
 
 ART = Path(__file__).parent / "art"
-ICON = (0.06, 0.045)  # height and width of an icon, of the picture's side
 ICON_RIGHT, ICON_DOWN, SLOT = 0.0375, 0.0597, 0.06  # of the first one's centre; to the next one's
 # The symbolic planes, those of 0 and 1 first: walls, the gem, the thief's cell, and in the first
 # cells the keys in hand, a cell for each colour; then keys and doors, of each colour its number, 1
@@ -40,7 +28,7 @@ def background(s, art, scene):
     seen = paint_bare(s, art[0], art[1], scene)
     for k in range(s.objects):
         if s.gone[k] < 0:
-            lay(s, seen, k, art[2][s.what[k] - KEY])
+            lay(s, seen, k, art[3][s.what[k] - KEY])
 
 
 @kernel
@@ -48,7 +36,7 @@ def foreground(s, art, scene, image):
     """Draw the scene or its window around the thief, with the thief and the keys in hand."""
     clear_gone(s, scene)
     left, top = show(s, scene, image)
-    draw_thief(s, art[3], scene.shape[1], image, top, left)
+    draw_thief(s, art[2], scene.shape[1], image, top, left)
     side, icons = image.shape[0], art[4]
     for k in range(icons.shape[0]):
         if s.hand >> k & 1:
@@ -100,36 +88,15 @@ def planes_scene_shape(variant: Variant) -> tuple[int, ...]:
     return (PLANES, scene_cells(variant), scene_cells(variant))
 
 
-def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
-    return scene_pixels(variant, pixels, 2)  # with the objects that are left, and below without
-
-
-def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
-    """Return floors [9, h, 2h, 3], wall [S, S, 3], objects [7, S, S, 4], thief by action, icons.
-
-    S is a cell's side, rounded up. Objects are keys and doors by colour, and the gem. The thief is
-    [9, T, T, 4], and icons are [3, height, width, 4].
-    """
-    scale = cell_pixels(variant, pixels)
-    p: Any = variant
-    return _art(scale, p.world, pixels)
-
-
-@functools.cache
-def _art(scale: float, world: int, pixels: int) -> tuple[np.ndarray, ...]:
-    load = functools.partial(own.load, ART)
+def things(load: Callable, cells: Callable, icon: tuple[int, int]) -> tuple[list, list]:
+    """Return keys and doors by colour and the gem, [7, S, S, 4], and icons of keys by colour."""
 
     def coloured(name: str, *size: int) -> list[np.ndarray]:
         return [own.tint(load(name, *size), own.COLOURS[colour]) for colour in COLOURS]
 
-    cell, body = int(np.ceil(scale)), int(np.ceil(2 * HALF * scale))
-    floors = own.floors(ART, world * scale)
-    wall = load("wall-brick", cell, cell)[..., :3]
-    things = [*coloured("key", cell, cell), *coloured("door", cell, cell), load("gem", cell, cell)]
-    icons = coloured("icon", *(max(round(fraction * pixels), 1) for fraction in ICON))
-    thief = turned(load("thief-right", body, body), load("thief-right-up", body, body))
-    # All contiguous, or compiled code would be compiled anew for another layout.
-    return tuple(map(np.ascontiguousarray, (floors, wall, things, thief, icons)))
+    cell = cells(1)
+    objects = [*coloured("key", *cell), *coloured("door", *cell), load("gem", *cell)]
+    return objects, coloured("icon", *icon)
 
 
-LOOKS = {OWN: Looks(OWN, background, foreground, art, scene_shape)}
+LOOKS = {OWN: own.thief_looks(ART, background, foreground, things)}

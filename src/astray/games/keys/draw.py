@@ -1,16 +1,14 @@
 """Keys and Chests as pictures at any scale, and as symbolic planes."""
 
-import functools
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from astray.art import own
-from astray.game import OWN, Looks, Variant
+from astray.game import OWN, Variant
 from astray.games.keys.rules import (
     FIRST_SLOT,
-    HALF,
     HIDDEN,
     KEY,
     LOWER_LEFT,
@@ -21,21 +19,11 @@ from astray.games.keys.rules import (
 )
 from astray.kernel.canvas import blit, pixel
 from astray.kernel.jit import kernel, shared
-from astray.kernel.maze import (
-    cell_pixels,
-    margin,
-    paint_walls,
-    scene_cells,
-    scene_pixels,
-    show,
-    show_planes,
-    spread,
-)
-from astray.kernel.stage import STRIPS, clear_gone, draw_thief, lay, mark_thief, paint_bare, turned
+from astray.kernel.maze import margin, paint_walls, scene_cells, show, show_planes, spread
+from astray.kernel.stage import STRIPS, clear_gone, draw_thief, lay, mark_thief, paint_bare
 
 ART = Path(__file__).parent / "art"
 KEY_SIDE = 0.8  # cells; larger than what touches, to be seen
-ICON = (0.06, 0.045)  # height and width of an icon, of the picture's side
 # The symbolic planes of 0 and 1: walls, keys, chests, the thief's cell, and as many cells as
 # there are keys in hand, row by row; then, in the thief's cell, where in it the thief is.
 WALL_PLANE, KEY_PLANE, CHEST_PLANE, THIEF_PLANE, HAND_PLANE, X_PLANE, Y_PLANE, PLANES = range(8)
@@ -47,7 +35,7 @@ def background(s, art, scene):
     seen = paint_bare(s, art[0], art[1], scene)
     for k in range(s.objects):
         if s.gone[k] < 0:
-            lay(s, seen, k, art[2] if s.what[k] == KEY else art[3])
+            lay(s, seen, k, art[3] if s.what[k] == KEY else art[4])
 
 
 @kernel
@@ -56,7 +44,7 @@ def foreground(s, art, scene, image):
     if s.taken:
         clear_gone(s, scene)
     left, top = show(s, scene, image)
-    draw_thief(s, art[4], scene.shape[1], image, top, left)
+    draw_thief(s, art[2], scene.shape[1], image, top, left)
     draw_hand(s, art[5], image)
 
 
@@ -119,32 +107,9 @@ def planes_scene_shape(variant: Variant) -> tuple[int, ...]:
     return (PLANES, scene_cells(variant), scene_cells(variant))
 
 
-def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
-    return scene_pixels(variant, pixels, 2)  # with the objects that are left, and below without
+def things(load: Callable, cells: Callable, icon: tuple[int, int]) -> tuple[np.ndarray, ...]:
+    """Return key, chest and icon, each [height, width, 4]."""
+    return load("key", *cells(KEY_SIDE)), load("chest", *cells(1)), load("icon", *icon)
 
 
-def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
-    """Return floors [9, h, 2h, 3], wall [S, S, 3], key, chest, thief by action [9, ...], icon.
-
-    S is a cell's side, rounded up; all but floors and wall are [height, width, 4].
-    """
-    scale = cell_pixels(variant, pixels)
-    p: Any = variant
-    return _art(scale, p.world, pixels)
-
-
-@functools.cache
-def _art(scale: float, world: int, pixels: int) -> tuple[np.ndarray, ...]:
-    load = functools.partial(own.load, ART)
-    cell, key = int(np.ceil(scale)), int(np.ceil(KEY_SIDE * scale))
-    body = int(np.ceil(2 * HALF * scale))
-    floors = own.floors(ART, world * scale)
-    wall = load("wall-brick", cell, cell)[..., :3]
-    icon = load("icon", *(max(round(fraction * pixels), 1) for fraction in ICON))
-    thief = turned(load("thief-right", body, body), load("thief-right-up", body, body))
-    made = (floors, wall, load("key", key, key), load("chest", cell, cell), thief, icon)
-    # All contiguous, or compiled code would be compiled anew for another layout.
-    return tuple(map(np.ascontiguousarray, made))
-
-
-LOOKS = {OWN: Looks(OWN, background, foreground, art, scene_shape)}
+LOOKS = {OWN: own.thief_looks(ART, background, foreground, things)}
