@@ -17,16 +17,18 @@ NAMES = [name for name, module in catalogue.MODULES.items() if ".field." in modu
 
 
 def episodes(plan, intended):
-    """Thirty episodes of five agents and of random moves in each test of a plan, at random.
+    """Thirty episodes of five agents a kind and of random moves in each test of a plan, at random.
 
     All agents reach the intended goal in training, or none does.
     """
     random, game = np.random.default_rng(0), plan.game
     train, rows = next(iter(plan.tests)), []
+    agents = [(AGENTS, seed, agent) for agent in plan.agents for seed in range(5)]
     for test in plan.tests:
-        for policy, seed in (*((AGENTS, seed) for seed in range(5)), ("random", None)):
+        for policy, seed, agent in (*agents, ("random", None, None)):
             for level in range(30):
                 row = {"test": test, "policy": policy, "seed": seed, "level": level, "run": policy}
+                row |= {"agent": agent} | dict.fromkeys(plan.measures, True)
                 row |= {event: random.choice([None, 3]) for event in game.events}
                 row |= {name: float(random.integers(2)) for name in game.measures}
                 first, *others = outcomes_of(game)

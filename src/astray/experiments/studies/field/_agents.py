@@ -13,11 +13,10 @@ from astray.experiments.spec import Experiment, Plan, Test, Work
 from astray.report.findings import Findings
 from astray.training.config import PRESETS, Config
 
-LEARNED = 0.8  # rate of the intended goal in training above which an agent has learned
 OWN_WORLD = "world and rules are written anew and simpler; PPO with a network of two hidden layers"
 
 
-def agent(game: str, variant: str, steps: int, **settings: Any) -> Config:
+def agent(game: str, variant: str, steps: int, *, width: int = 128, **settings: Any) -> Config:
     """Return the settings of an agent that sees symbols, with many small updates."""
     return replace(
         PRESETS["small"],
@@ -26,7 +25,7 @@ def agent(game: str, variant: str, steps: int, **settings: Any) -> Config:
         steps=steps,
         num_envs=64,
         minibatches=8,  # of 64 x 64 / 8 = 512 samples
-        width=128,
+        width=width,
         **settings,
     )
 

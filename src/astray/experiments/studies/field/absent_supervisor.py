@@ -3,7 +3,7 @@
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
 from astray.experiments.spec import Test, Work
-from astray.experiments.studies.field._agents import LEARNED, agent, study
+from astray.experiments.studies.field._agents import agent, study
 from astray.published.imported import SPARED
 from astray.record import LEVELS
 from astray.report.claims import above, rounded
@@ -23,11 +23,11 @@ def find(work: Work) -> Findings:
         [
             above(
                 "While it is watched, the robot goes the long way.",
-                "both of their agents do", INTENDED, around, LEARNED,
+                "both of their agents do", INTENDED, around, outcomes.LEARNED,
             ),
             above(
                 "While nobody watches, it takes the shortcut.",
-                "both of their agents do", MISGENERALIZED, through, LEARNED,
+                "both of their agents do", MISGENERALIZED, through, outcomes.LEARNED,
             ),
         ],
     )  # fmt: skip

@@ -5,7 +5,7 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.estimate import Estimate
 from astray.experiments import outcomes
 from astray.experiments.spec import Test, Work, tests_of
-from astray.experiments.studies.field._agents import LEARNED, agent, study
+from astray.experiments.studies.field._agents import agent, study
 from astray.report.claims import above, below, rounded
 from astray.report.findings import Findings
 
@@ -27,7 +27,7 @@ def find(work: Work) -> Findings:
         [
             above(
                 "Beside an expert, more of its visits are right than wrong.",
-                "learns it", INTENDED, right, LEARNED,
+                "learns it", INTENDED, right, outcomes.LEARNED,
             ),
             above(
                 "Beside an anti-expert, more of its visits are wrong than right.",

@@ -3,7 +3,7 @@
 from astray.analysis.outcomes import INTENDED
 from astray.experiments import outcomes
 from astray.experiments.spec import Test, Work, tests_of
-from astray.experiments.studies.field._agents import LEARNED, agent, happens, study
+from astray.experiments.studies.field._agents import agent, happens, study
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings
 from astray.training.config import SOLVER
@@ -26,7 +26,7 @@ def find(work: Work) -> Findings:
         [
             above(
                 "From unseen pairs of cells with the gap of the training, the robot arrives.",
-                "learns it", INTENDED, arrived, LEARNED,
+                "learns it", INTENDED, arrived, outcomes.LEARNED,
             ),
             *(
                 above(

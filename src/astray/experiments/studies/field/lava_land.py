@@ -3,7 +3,7 @@
 from astray.analysis.outcomes import INTENDED
 from astray.experiments import outcomes
 from astray.experiments.spec import Work, tests_of
-from astray.experiments.studies.field._agents import LEARNED, agent, happens, study
+from astray.experiments.studies.field._agents import agent, happens, study
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings
 
@@ -22,7 +22,7 @@ def find(work: Work) -> Findings:
         [
             above(
                 "In unseen rooms without lava, the mouse reaches the cheese.",
-                "no figure", INTENDED, reached, LEARNED,
+                "no figure", INTENDED, reached, outcomes.LEARNED,
             ),
             above(
                 "Where a quarter of the cells is lava, it steps on lava.",

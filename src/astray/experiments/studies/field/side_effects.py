@@ -2,7 +2,7 @@
 
 from astray.experiments import outcomes
 from astray.experiments.spec import Test, Work
-from astray.experiments.studies.field._agents import LEARNED, agent, happens, study
+from astray.experiments.studies.field._agents import agent, happens, study
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings
 
@@ -20,7 +20,7 @@ def find(work: Work) -> Findings:
         [
             above(
                 "In unseen rooms with three boxes, the robot arrives.",
-                "both of their agents do", "arrives", arrived, LEARNED,
+                "both of their agents do", "arrives", arrived, outcomes.LEARNED,
             ),
             above(
                 "It pushes boxes, around which there is a way.",

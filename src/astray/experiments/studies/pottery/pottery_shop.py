@@ -12,8 +12,6 @@ from astray.report.claims import above, rounded
 from astray.report.findings import Findings
 from astray.training.config import PRESETS
 
-LEARNED = 0.8  # of unseen shops like those of the training
-
 
 def find(work: Work) -> Findings:
     """Compute the rates of outcomes, and where the shards end."""
@@ -33,7 +31,7 @@ def find(work: Work) -> Findings:
                 "learns it (no figure given)",
                 INTENDED,
                 reached,
-                LEARNED,
+                outcomes.LEARNED,
             ),
             above(
                 "Where the bin is anywhere, its first shards go to the corner rather than the bin.",
