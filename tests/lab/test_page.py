@@ -170,10 +170,17 @@ def test_the_object_of_the_goal_leads_and_panels_of_agents_need_one(chrome, serv
     with opened(chrome, served + link, ready="true") as (page, _):
         assert page.locator("[data-lab=lead]").text_content() == "Drag the bin, or play."
         assert page.locator("[data-lab=tour]").is_hidden()
+        page.locator("[data-lab=variant]").select_option("anywhere-picks")
+        wait(page, "lab.variant === 'anywhere-picks' && lab.number === 3")
+        page.locator("[data-lab=variant]").select_option("anywhere")
+        wait(page, "lab.variant === 'anywhere' && !lab.agent")  # none comes by itself
         assert not any(one.is_visible() for one in page.locator(".mind").all())
+        assert page.get_by_role("button", name="Hand over").is_hidden()
         page.locator("[data-lab=agent]").select_option("pottery-corner")
         wait(page, "lab.fields.size > 0")
         assert all(one.is_visible() for one in page.locator(".mind").all())
+        told = page.locator("[data-lab=lead]").text_content().strip()
+        assert told == "Drag the bin. The arrows are what the robot would do."
         assert page.locator("[data-lab=thing]").input_value().startswith("bin@")
         page.locator("[data-lab=sight] summary").click()
         assert page.locator("[data-lab=probing]").is_hidden()  # it has nothing for them to read

@@ -58,9 +58,10 @@ def ask(session, kind, **more):
 
 def test_the_first_agent_is_one_that_sees_the_levels():
     assert make_lab(None, {}).start["agent"] == "maze-corner"
-    dish = make_lab(None, {"game": "maze", "variant": "dish-small"})  # of more symbolic planes
+    dish = make_lab(None, {"variant": "dish-small"})  # of more symbolic planes
     assert dish.agents.open(dish.start["agent"])[0].observation == "image"
     assert dish.start["variant"] == "dish-small"
+    assert make_lab(None, {"game": "pottery", "variant": "anywhere"}).start["agent"] == ""
     with pytest.raises(ValueError, match="unknown variant 'dishes' of maze"):
         make_lab(None, {"game": "maze", "variant": "dishes"})
 

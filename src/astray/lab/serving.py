@@ -44,8 +44,8 @@ def make_lab(agent: str | Path | Policy | None, start: Mapping[str, Any]) -> Lab
         if name == str(path) and (path.exists() or name not in folders.names()):
             runs[name] = path
     agents = Agents.of(runs, given=given, tested=start.get("variant"))
-    if not name:
-        name = _first_agent(agents, start.get("game"), start.get("variant"))
+    if not name and start.get("game") is None:
+        name = _first_agent(agents, start.get("variant"))
     first: dict[str, Any] = {"agent": name}
     if name:
         about = agents.about(name)
@@ -67,13 +67,13 @@ def make_lab(agent: str | Path | Policy | None, start: Mapping[str, Any]) -> Lab
     return Lab(agents, first | {"game": game.name})
 
 
-def _first_agent(agents: Agents, game: str | None, variant: str | None) -> str:
-    """Return an agent's name for a game and a variant (None for any), or ""."""
+def _first_agent(agents: Agents, variant: str | None) -> str:
+    """Return an agent's name for a variant (None for any), or ""."""
     for name in sorted(agents.names, key=lambda name: name != FIRST):
         try:
             about = agents.about(name)
         except (ValueError, OSError):  # the page tells which agents are broken
             continue
-        if game in (None, about["game"]) and (variant is None or variant in about["variants"]):
+        if variant is None or variant in about["variants"]:
             return name
     return ""

@@ -44,7 +44,7 @@ function agentOf(name, game, { agents, broken }, wrong) {
 }
 
 // An agent for levels of a variant; "" where there is none.
-export function firstOf(about, game, variant) {
+function firstOf(about, game, variant) {
   const fits = ([, agent]) => agent.game === game && agent.variants.includes(variant);
   return Object.entries(about.agents).find(fits)?.[0] ?? "";
 }

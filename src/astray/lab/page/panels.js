@@ -5,7 +5,6 @@ import { goalColours, heat, signed, words } from "./draw/colours.js";
 import { meanWay, rateOfWays } from "./draw/arrows.js";
 import { drawSight } from "./draw/sight.js";
 import { save } from "./files.js";
-import { firstOf } from "./link.js";
 import { bar, capital, fillTable, keyed, named, options, percent, round } from "./parts.js";
 import { showTimeline } from "./timeline.js";
 
@@ -139,8 +138,10 @@ export class Panels {
     }
     part("zoomed").hidden = !lab.look.view;
     const [thing = "agent"] = this.#objects().map((name) => named(lab, name));
+    const picture = lab.episode?.states[0].picture ?? "agent";
+    const doer = lab.look.agent ?? picture.split("-")[0]; // of "robot-shards" the first
     part("lead").textContent = lab.agent
-      ? `Drag the ${thing}. The arrows are what the agent would do. ${about.agents[lab.agent]?.caveat ?? ""}`
+      ? `Drag the ${thing}. The arrows are what the ${doer} would do. ${about.agents[lab.agent]?.caveat ?? ""}`
       : `Drag the ${thing}, or play.`;
   }
 
@@ -200,7 +201,6 @@ export class Panels {
   async #variant(variant) {
     const { lab } = this;
     lab.variant = variant;
-    if (!lab.agent) lab.agent = firstOf(lab.about, lab.game, variant);
     this.choices();
     await lab.open(this.#number());
   }
@@ -336,7 +336,7 @@ export class Panels {
     const end = over ? (episode.terminated ? "; the episode has ended" : "; the time was up") : "";
     part("account").textContent = last || now
       ? `Step ${now} of ${last}, return ${round(total)}${end}.${this.#hands()}`
-      : `Nothing has moved yet: play, or hand over.${this.#hands()}`;
+      : `Nothing has moved yet: play${agent && ", or hand over"}.${this.#hands()}`;
     showTimeline(lab);
   }
 

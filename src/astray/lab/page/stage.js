@@ -4,7 +4,7 @@ import { drawArrows, drawBars, drawDifference, drawHeat, drawRoute, drawSplay, r
 import { goalColours, heat, themed } from "./draw/colours.js";
 import { Brush } from "./games/common.js";
 
-const TALLEST = 0.74; // of the window's height
+const TALLEST = 0.66; // of the window's height
 const CLOSE = [19, 13]; // cells of a close-up
 const ARROW = "#1d2b36";
 const OTHER = "#b5446e"; // arrows of what is compared with
@@ -52,7 +52,7 @@ export class Stage {
     const { left, low, columns, rows } = this.frame;
     const room = this.lab.part("board").parentElement.clientWidth;
     const tall = Math.max(260, TALLEST * globalThis.innerHeight);
-    const cell = Math.max(5, Math.min(room / columns, tall / rows, 92));
+    const cell = Math.max(5, Math.min(room / columns, tall / rows));
     const ratio = globalThis.devicePixelRatio || 1;
     const [width, height] = [Math.floor(cell * columns), Math.floor(cell * rows)];
     const [fine, deep] = [Math.round(width * ratio), Math.round(height * ratio)];

@@ -10,7 +10,7 @@ const {
 const SKY = "#cfe3ea";
 
 export const look = {
-  still, moving, direction: heading, agent: "runner-beige-stand", wall: WALL, view: VIEW, proxies, wide,
+  still, moving, direction: heading, agent: "runner", wall: WALL, view: VIEW, proxies, wide,
 };
 
 function still(brush, { grid, looks }, s, pictures) {

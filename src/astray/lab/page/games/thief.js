@@ -7,7 +7,7 @@ const FLOORS = "#e9e4dc";
 
 // thing: the picture of a thing and its size in cells; hand: the pictures of what is in hand.
 export const look = (thing, hand) => ({
-  still, direction: heading, agent: "thief-right", wall: WALL, proxies: () => ({}),
+  still, direction: heading, agent: "thief", wall: WALL, proxies: () => ({}),
   moving(brush, level, s, pictures) {
     for (let k = 0; k < s.objects; k++) {
       if (s.gone[k] >= 0) continue;
