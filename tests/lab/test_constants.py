@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from astray import games
+from astray import games, record
 from astray.acting import initial_states
 from astray.agency import measure
 from astray.agency.gridworld import World as Gridworld
@@ -21,7 +21,7 @@ from astray.art import own
 from astray.envs.vector import GameVectorEnv
 from astray.figures.axes import COLOURS
 from astray.figures.style import OTHERS
-from astray.kernel import rng
+from astray.kernel import rng, thief
 from astray.lab import constants, goals
 from astray.level import Level
 from astray.outcome import INTENDED, MISGENERALIZED
@@ -60,6 +60,33 @@ def now(exported):
     path.write_bytes(constants.module())
     yield
     path.write_bytes(before)
+
+
+def test_the_page_has_the_number_of_levels_and_the_size_of_the_thief_from_python(
+    chrome, static, exported, monkeypatch
+):
+    monkeypatch.setattr(record, "MOST", 100)
+    monkeypatch.setattr(thief, "HALF", np.float32(2))
+    with now(exported), opened(chrome, static, "true") as (page, _):
+        wrong, drawn = page.evaluate(
+            """async () => {
+              const take = (path) => import(new URL(path, location.href));
+              const { fromLink } = await take("link.js");
+              const { look } = await take("games/thief.js");
+              const about = { games: { keys: { variants: { hard: 0 } } }, agents: {} };
+              const { wrong } = await fromLink("#game=keys&variant=hard&level=100", about);
+              const drawn = [];
+              const paint = new Proxy({}, { get: (_, name) => (image, ...where) => {
+                if (name === "drawImage") drawn.push(...where);
+              } });
+              const s = { x: 0, y: 0, objects: 0, facing: 7 };
+              const brush = { paint, scale: 10, top: 0 };
+              look(null, () => []).moving(brush, null, s, { get: () => "a picture" });
+              return [wrong, drawn];
+            }"""
+        )
+    assert wrong.startswith("A level must be a number from 0 to 99; the link has '100'.")
+    assert drawn == [-20, -20, 40, 40]
 
 
 def test_the_page_s_prior_of_errors_is_python_s(chrome, static, exported, monkeypatch):

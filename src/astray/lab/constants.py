@@ -32,6 +32,7 @@ PATH = "rules/constants.js"  # from the page
 # By the name that JavaScript imports: modules, and the names in them.
 TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
     "common": ((grid, "ACTIONS MOVES STAY"), (maze, "WALL"), (record, "NEVER"), (own, "COLOURS")),
+    "levels": ((record, "MOST"),),
     "twister": ((rng, "WORDS MIDDLE SEED_FACTOR TWIST HIGH_BIT LOW_31 TEMPER_B TEMPER_C"),),
     "noises": ((rng, "GAMMA MIX_1 MIX_2 TO_UNIT"), (ppo, "BELOW_ONE")),
     "grid": ((abilities, "OVER"),),

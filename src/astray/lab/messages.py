@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
-from astray.validation import bounded, of_kind, one_of, shown
+from astray.validation import MOST, bounded, of_kind, one_of, shown
 
 LARGEST = 2**18  # characters of a message; a level of CoinRun as JSON has some 20,000
 LONGEST = 2000  # steps of an episode that a page plays
@@ -70,7 +70,7 @@ class Message:
         if isinstance(self.level, bool):
             raise ValueError(f"level must be a number, a drawing or an object; got {self.level}")
         of_kind("effects", self.effects, bool)
-        bounded("seed", self.seed, 0, 2**31 - 1)
+        bounded("seed", self.seed, 0, MOST)
         bounded("steps", self.steps, 0, LONGEST)
         bounded("draws", self.draws, 1, MOST_DRAWS)
         if len(self.actions) > LONGEST:

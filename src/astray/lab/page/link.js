@@ -1,8 +1,8 @@
 // Addresses that hold a level and an agent: #game=…&variant=…&agent=…&level=17, or a drawn level.
 
 import { plain } from "./level.js";
+import { levels } from "./rules/constants.js";
 
-const LEVELS = 2 ** 31 - 1; // numbers of levels are below
 const LONGEST = 200_000; // characters of a level in an address
 
 // Parse an address; `wrong` has the parts that this lab cannot show. No other agent is ever put
@@ -22,8 +22,8 @@ export async function fromLink(hash, about) {
   }
   const number = words.get("level") ?? 0;
   let level = Number(number);
-  if (!(Number.isInteger(level) && level >= 0 && level < LEVELS)) {
-    wrong.push(`A level must be a number from 0 to ${LEVELS - 1}; the link has '${number}'.`);
+  if (!(Number.isInteger(level) && level >= 0 && level < levels.MOST)) {
+    wrong.push(`A level must be a number from 0 to ${levels.MOST - 1}; the link has '${number}'.`);
     level = 0;
   }
   if (words.has("drawn")) {

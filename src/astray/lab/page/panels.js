@@ -6,6 +6,7 @@ import { meanWay, rateOfWays } from "./draw/arrows.js";
 import { drawSight } from "./draw/sight.js";
 import { save } from "./files.js";
 import { bar, capital, fillTable, keyed, named, options, percent, round } from "./parts.js";
+import { levels } from "./rules/constants.js";
 import { showTimeline } from "./timeline.js";
 
 const NAMES = {
@@ -207,7 +208,7 @@ export class Panels {
 
   #number() {
     const number = Math.trunc(Number(this.part("number").value));
-    return Math.min(Math.max(number || 0, 0), 2 ** 31 - 2);
+    return Math.min(Math.max(number || 0, 0), levels.MOST - 1);
   }
 
   #to(number) {

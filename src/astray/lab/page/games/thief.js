@@ -2,6 +2,7 @@
 
 import { eachCell, heading } from "./common.js";
 import { WALL, push } from "../rules/common.js";
+import { thief as body } from "../rules/constants.js";
 
 const FLOORS = "#e9e4dc";
 
@@ -31,16 +32,15 @@ function still(brush, { grid }, s, pictures) {
 
 function thief(brush, s, pictures) {
   const { paint, scale, top } = brush;
+  const half = body.HALF * scale;
   const [dx, dy] = push(s.facing);
   const oblique = dx !== 0 && dy !== 0;
   const image = pictures.get(oblique ? "thief-right-up" : "thief-right");
-  const quarters = oblique
-    ? { "1,1": 0, "-1,1": 1, "-1,-1": 2, "1,-1": 3 }[`${dx},${dy}`]
-    : { "1,0": 0, "0,1": 1, "-1,0": 2, "0,-1": 3 }[`${dx},${dy}`];
+  const quarters = Math.floor(((2 * Math.atan2(dy, dx)) / Math.PI + 4) % 4);
   if (!image) return;
   paint.save();
   paint.translate(s.x * scale, (top - s.y) * scale);
-  paint.rotate((-(quarters ?? 0) * Math.PI) / 2);
-  paint.drawImage(image, -0.375 * scale, -0.375 * scale, 0.75 * scale, 0.75 * scale);
+  paint.rotate((-quarters * Math.PI) / 2);
+  paint.drawImage(image, -half, -half, 2 * half, 2 * half);
   paint.restore();
 }
