@@ -14,6 +14,7 @@ from astray.files import (
     aside_of,
     check_free,
     check_writable,
+    files_aside,
     folder_aside,
     remove_left,
     write_aside,
@@ -83,6 +84,38 @@ def test_a_folder_without_room_is_told_by_its_own_name(tmp_path, full_disk):
         write_aside(aside / "page", bytes(99))
     with pytest.raises(OSError, match=r"^the hub is closed$"), folder_aside(tmp_path / "site"):
         raise OSError("the hub is closed")
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_of_a_page_come_all_or_none(tmp_path, full_disk):
+    folder, sign = tmp_path / "page", b"by astray"
+    with files_aside(folder, "page.html", sign) as aside:
+        write_aside(aside / "figures" / "one.png", b"one")
+        write_aside(aside / "page.html", sign)
+    there = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    assert [path.name for path in there] == ["page.html", "one.png"]
+    full_disk(10)
+    said = pytest.raises(OSError, match=r"large; nothing was written: '[^']*page.figures.two.png'$")
+    for empty in (folder, tmp_path / "new" / "page"):
+        with said, files_aside(empty, "page.html", sign) as aside:
+            write_aside(aside / "page.html", b"small")
+            write_aside(aside / "figures" / "two.png", bytes(99))
+    full_disk()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "figures").write_text("of the user's")
+    with (
+        pytest.raises(OSError, match="figures was not written by astray"),
+        files_aside(tmp_path / "mine", "page.html", sign) as aside,
+    ):
+        write_aside(aside / "figures" / "one.png", b"one")
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == there
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "page"]
+
+
+def test_a_disk_without_room_for_a_result_is_told_before_the_work(tmp_path, full_disk):
+    full_disk(100_000)
+    with pytest.raises(OSError, match=r"large; nothing was written: '[^']*new.told'$"):
+        check_writable(tmp_path / "new" / "told")
     assert not list(tmp_path.iterdir())
 
 

@@ -15,6 +15,7 @@ from filelock import FileLock, Timeout
 ASIDE = re.compile(r"\..+\.[0-9a-f]{32}")  # names that `aside_of` makes, and nobody else
 
 LOCK = ".lock"  # the file by which a process holds a folder
+ROOM = 2**20  # bytes that a disk must have left before the work whose results it gets
 LARGEST = 2**32  # bytes of a file that is read; none of astray's comes near
 
 
@@ -51,31 +52,32 @@ def _check_regular(path: Path, found: os.stat_result, most: int) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Raise OSError unless the file can be written; create nothing and change nothing."""
+    """Raise OSError unless a file of `ROOM` bytes can be written; change nothing."""
     _check_replaceable(path)
-    made = make_folder(path.parent)
-    try:
-        aside = aside_of(path)
-        with open(aside, "xb"):
-            pass
-        aside.unlink()
-    finally:
-        remove_made(made)
+    with folder_aside(path, path.parent) as aside:
+        write_aside(aside / path.name, bytes(ROOM))
 
 
 def make_folder(folder: Path) -> list[Path]:
-    """Create `folder` and its parents; return those that are new, deepest first."""
+    """Create `folder` and its parents; return those that are new, deepest first.
+
+    Raises:
+        NotADirectoryError: If one of them is anything else.
+    """
     missing = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
+    if not (last := (folder, *folder.parents)[len(missing)]).is_dir():
+        raise NotADirectoryError(f"{last} must be a folder; it is a file, or a link to none")
     folder.mkdir(parents=True, exist_ok=True)
     return missing
 
 
 def remove_made(folders: Iterable[Path]) -> None:
-    """Remove those folders that `make_folder` created and that are empty."""
-    with contextlib.suppress(OSError):
-        for folder in folders:
-            if folder.exists():
-                folder.rmdir()
+    """Remove folders that `make_folder` created, while they hold at most the lock of `hold`."""
+    with contextlib.suppress(OSError):  # another process may have come
+        for folder in filter(Path.exists, folders):
+            if [path.name for path in folder.iterdir()] == [LOCK]:
+                (folder / LOCK).unlink()
+            folder.rmdir()
 
 
 def _check_replaceable(path: Path) -> None:
@@ -94,7 +96,7 @@ def aside_of(path: Path) -> Path:
 
 
 def write_aside(path: Path, data: bytes) -> None:
-    """Write `data` to `path` atomically: a crash leaves the old file or the new one.
+    """Write `data` to `path`, with its folder: a crash leaves the old file or the new one.
 
     Raises:
         OSError: If `path` is anything but a file. Renaming would replace it: as root even
@@ -102,7 +104,7 @@ def write_aside(path: Path, data: bytes) -> None:
     """
     path = Path(path)
     _check_replaceable(path)
-    aside = aside_of(path)
+    made, aside = make_folder(path.parent), aside_of(path)
     try:
         with open(aside, "xb") as file:
             file.write(data)
@@ -111,6 +113,7 @@ def write_aside(path: Path, data: bytes) -> None:
         os.replace(aside, path)
     except BaseException as error:  # also an interrupt
         aside.unlink(missing_ok=True)
+        remove_made(made)
         if not isinstance(error, OSError):
             raise
         what = "what was there is still there" if path.exists() else "nothing was written"
@@ -118,8 +121,11 @@ def write_aside(path: Path, data: bytes) -> None:
 
 
 @contextlib.contextmanager
-def folder_aside(path: Path) -> Iterator[Path]:
-    """Yield a new folder, which is renamed to `path` on success and removed on failure."""
+def folder_aside(path: Path, told: Path | None = None) -> Iterator[Path]:
+    """Yield a new folder, which the caller renames to `path`, and which is removed otherwise.
+
+    Errors name files as in `told`, or in `path`.
+    """
     made = make_folder(path.parent)
     aside = aside_of(path)
     try:
@@ -127,7 +133,7 @@ def folder_aside(path: Path) -> Iterator[Path]:
         yield aside
     except OSError as error:
         if error.filename:  # is to name a file that the user knows
-            error.filename = str(error.filename).replace(aside.name, path.name)
+            error.filename = str(error.filename).replace(str(aside), str(told or path))
         raise
     finally:
         if os.path.exists(aside):  # pathlib would raise where the name is too long
@@ -135,14 +141,34 @@ def folder_aside(path: Path) -> Iterator[Path]:
         remove_made(made)
 
 
-def hold(folder: Path, doing: str, wait: bool = True) -> FileLock:
-    """Lock `folder` for this process until the returned lock is released.
+@contextlib.contextmanager
+def files_aside(folder: Path, mark: str, sign: bytes) -> Iterator[Path]:
+    """Yield a new folder, whose files get to `folder` on success, and on failure none of them.
+
+    Raises:
+        OSError: As `check_free` does, for the names of the files.
+    """
+    with folder_aside(folder / mark, folder) as aside:
+        yield aside
+        check_free(folder, mark, sign, os.listdir(aside))
+        files = [path.relative_to(aside) for path in aside.rglob("*") if path.is_file()]
+        for name in files:
+            _check_replaceable(folder / name)
+        for name in sorted(files, key=lambda name: name != Path(mark)):  # whose files these are
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(aside / name, folder / name)
+
+
+@contextlib.contextmanager
+def hold(folder: Path, doing: str, wait: bool = True) -> Iterator[None]:
+    """Create `folder` and lock it for this process; in the end, remove it if it is new and empty.
 
     If another process holds the lock, print "another process {doing} {folder}" and wait.
 
     Raises:
         filelock.Timeout: If another process holds the lock and `wait` is False.
     """
+    made = make_folder(folder)
     lock = FileLock(folder / LOCK)
     try:
         lock.acquire(timeout=0)
@@ -151,15 +177,19 @@ def hold(folder: Path, doing: str, wait: bool = True) -> FileLock:
             raise
         print(f"another process {doing} {folder}; waiting for it", file=sys.stderr, flush=True)
         lock.acquire(timeout=-1)
-    return lock
+    try:
+        yield
+    finally:
+        lock.release()
+        remove_made(made)
 
 
-def remove_empty(folder: Path) -> None:
-    """Remove a folder that holds at most the lock file of `hold`."""
-    with contextlib.suppress(OSError):  # another process may have come
-        if [path.name for path in folder.iterdir()] == [LOCK]:
-            (folder / LOCK).unlink()
-            folder.rmdir()
+def check_empty(folder: Path) -> bool:
+    """Return whether `folder` exists; raise FileExistsError unless it is new or empty."""
+    is_there = os.path.lexists(folder)
+    if is_there and (folder.is_symlink() or not folder.is_dir() or any(folder.iterdir())):
+        raise FileExistsError(f"{folder} must be new, or an empty folder; there is something in it")
+    return is_there
 
 
 def holds_only(folder: Path, names: Collection[str]) -> bool:

@@ -7,6 +7,8 @@ import torch
 from safetensors.torch import save
 
 from astray.agents import policy
+from astray.training import folders
+from astray.training.folders import AgentFolder
 
 
 @pytest.mark.parametrize("kind", [torch.int64, torch.bool])
@@ -18,3 +20,13 @@ def test_weights_that_are_no_real_numbers_are_refused(kind, tmp_path):
     for load in (policy.load, lambda *where: policy.load_into(network, *where)):
         with pytest.raises(ValueError, match=rf"must be torch.float32; they are {kind}"):
             load(path, "maze")
+
+
+def test_a_file_that_a_network_misses_is_not_taken_for_the_agents_own(monkeypatch):
+    def build(self):
+        raise FileNotFoundError("no vocabulary at words.txt")
+
+    path = AgentFolder.open(folders.find("maze-corner")).weights
+    monkeypatch.setattr(policy.Architecture, "build", build)
+    with pytest.raises(ValueError, match=r"not an agent that can be used: no vocabulary at words"):
+        policy.load(path, "maze")

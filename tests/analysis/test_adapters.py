@@ -53,8 +53,8 @@ def test_a_recurrent_model_remembers_its_episode_and_no_other(batch):
 @pytest.mark.parametrize(
     "chosen, said",
     [
-        (np.zeros(3, int), r"must return 2 integers.*got int64 of shape \(3,\)"),
-        (np.zeros(2), "must return 2 integers.*got float64"),
+        (np.zeros(3, int), r"must return integers \[2\].*got int64 of shape \(3,\)"),
+        (np.zeros(2), r"must return integers \[2\].*got float64"),
         (np.array([0, 15]), "must be from 0 to 14; got 0 to 15"),
         (np.array([-1, 3]), "must be from 0 to 14; got -1 to 3"),
     ],

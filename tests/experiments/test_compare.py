@@ -70,6 +70,16 @@ class Blind(WORLD.variants["end"].func):
         super().__init__("anywhere")
 
 
+def test_a_comparison_that_finds_no_room_leaves_nothing(tmp_path, full_disk):
+    left = Function(lambda seen: np.zeros(len(seen), int), "left")
+    full_disk(2048)
+    with pytest.raises(OSError, match=r"nothing was written: .*page.videos.together.mp4"):
+        compare([Function(go_right, "right"), left], WORLD, "end", range(4), tmp_path / "page")
+    full_disk()
+    assert not list(tmp_path.iterdir())
+    assert compare([Function(go_right, "right"), left], WORLD, "end", range(4), tmp_path / "page")
+
+
 @pytest.mark.parametrize("policies", [[], [Random()], [Random(), Random()]])
 def test_what_cannot_be_compared_is_told(policies, tmp_path):
     with pytest.raises(ValueError, match="compare takes 2 to 8 agents of different names"):

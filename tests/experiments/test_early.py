@@ -7,13 +7,18 @@ import pytest
 
 from astray import games
 from astray.analysis.outcomes import load_shift
+from astray.analysis.policies import Random
+from astray.analysis.runs import load_agent
 from astray.envs.vector import GameVectorEnv
 from astray.experiments import run, spec
+from astray.experiments.levels import play
 from astray.experiments.spec import Experiment, Plan
 from astray.experiments.sweep.settings import Sweep
 from astray.game import Shift
 from astray.lab import export as exporting
+from astray.lab import serving
 from astray.lab.serving import make_lab
+from astray.training import folders
 from helpers.trainings import TINY
 
 MAZE = games.find("maze")
@@ -21,8 +26,9 @@ MAZE = games.find("maze")
 
 @pytest.fixture(autouse=True)
 def _untrained(monkeypatch):
-    def train_all(*_):
-        pytest.fail("it trains")
+    def train_all(todo, *_):
+        if todo:
+            pytest.fail("it trains")
 
     monkeypatch.setattr(run, "train_all", train_all)
 
@@ -39,6 +45,34 @@ def plan(**more):
     agents = {"mouse": replace(TINY, knobs={"world": 5, "largest": 3}, levels=3000)}
     tests = {"in training": spec.Test("corner-small", "corner-small")}
     return Plan(**{"agents": agents, "tests": tests, "levels": 50, "differences": "", **more})
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (("evaluate", "maze-corner", "--variant", "corner"), "of shape (4, 7, 7), not (4, 25, 25)"),
+        (("audit", "maze-corner", "--shift", "corner"), "of shape (4, 7, 7), not (4, 25, 25)"),
+        (("explain", "maze-corner", "--shift", "corner"), "of shape (4, 7, 7), not (4, 25, 25)"),
+        (("compare", "maze-corner", "random", "--shift", "corner"), "of shape (4, 7, 7), not"),
+        (("compare", "maze-corner", "walk:nothing"), "unknown goal 'nothing'; there are: cheese"),
+        (("evaluate", "maze-corner", "--rewards", "os:getcwd"), "getcwd> fails: TypeError("),
+    ],
+)
+def test_what_cannot_be_played_is_refused_before_a_script_plays(
+    astray, words, said, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Random, "actions", lambda *_: pytest.fail("a script played"))
+    assert said in astray(*words, fails=True)
+
+
+def test_the_agents_of_a_plan_are_tried_in_all_its_tests_before_one_is_played(monkeypatch):
+    monkeypatch.setattr(Random, "actions", lambda *_: pytest.fail("a script played"))
+    files = [folders.find("maze-corner")]
+    own = {"mouse": spec.OwnAgents(load_agent, files=files)}
+    tests = {name: spec.Test(name, name) for name in ("corner-small", "corner")}
+    with pytest.raises(ValueError, match=r"of shape \(4, 7, 7\), not \(4, 25, 25\)"):
+        play(plan(agents={}, own=own, world=MAZE, tests=tests), {"mouse": files})
 
 
 def test_too_few_unseen_levels_are_told_before_training_and_what_to_do(tmp_path):
@@ -70,6 +104,11 @@ def test_a_test_that_agents_could_not_play_is_told_before_training(tmp_path, kno
         ({"network": "no_such:Net"}, r"second cannot be trained: 'no_such:Net' must be a module"),
         ({"loss": "no_such:loss"}, r"second cannot be trained: 'no_such:loss' must be a module"),
         ({"device": "mps"}, r"second cannot be trained: there is no device 'mps'"),
+        ({"network": "impala"}, r"second cannot be trained: network 'impala' does not see symb"),
+        (
+            {"network": "mlp+gru", "num_envs": 2},
+            r"second cannot be trained: a minibatch of a network with memory",
+        ),
         ({"teacher": "nobody"}, r"second is a student of nobody: name it in `teachers`"),
     ],
 )
@@ -77,6 +116,26 @@ def test_a_training_that_could_not_begin_is_told_before_those_before_it(tmp_path
     agents = {"first": replace(TINY, levels=3), "second": replace(TINY, levels=3, **setting)}
     with pytest.raises(ValueError, match=said):
         run.reproduce(experiment(plan(agents=agents, levels=2)), "smoke", tmp_path)
+
+
+def test_a_sweep_over_a_network_that_sees_nothing_of_the_kind_is_refused_before_it_trains(
+    astray, tmp_path
+):
+    words = ("maze", "corner-small", "--set", "network=mlp,impala", "--folder", tmp_path / "swept")
+    said = "impala cannot be trained: network 'impala' does not see symbolic planes"
+    assert said in astray("sweep", *words, fails=True)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("reproduce", "maze-corner", "--size", "paper"),
+        ("audit", "maze-corner", "--set", "time_limit=2000000"),
+    ],
+)
+def test_a_refused_report_leaves_no_folder(astray, tmp_path, words):
+    assert astray(*words, "--folder", tmp_path / "new" / "reports", fails=True)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_ruined_report_that_results_stand_beside_is_told_before_the_work(tmp_path):
@@ -133,6 +192,23 @@ def test_a_lab_that_cannot_be_exported_is_refused_before_anything_is_computed(
         exporting.export(make_lab(None, {}), tmp_path / "site", games={"heist": "far"})
 
 
+def test_a_lab_is_exported_to_no_folder_with_files_before_a_level_is_looked_for(
+    astray, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(serving, "first_distinguishing", lambda *_, **__: pytest.fail("it looks"))
+    (tmp_path / "mine").write_text("of the user's")
+    said = f"{tmp_path} must be new, or an empty folder; there is something in it"
+    assert said in astray("lab", "maze-corner", "--export", tmp_path, fails=True)
+
+
+@pytest.mark.parametrize("words", [("audit", "maze-corner"), ("reproduce", "maze-corner")])
+def test_a_file_in_the_place_of_a_folder_is_told_as_one(astray, tmp_path, words):
+    (tmp_path / "file").write_text("in the way")
+    for folder in (tmp_path / "file", tmp_path / "file" / "reports"):
+        told = astray(*words, "--folder", folder, fails=True)
+        assert f"{tmp_path / 'file'} must be a folder; it is a file" in told
+
+
 def test_a_game_without_an_agent_is_exported_with_the_variant_that_is_named(tmp_path):
     lab = make_lab("maze-corner", {})
     exporting.export(lab, tmp_path / "site", 1, ["maze-corner"], {"heist": "near-small"})
@@ -144,7 +220,7 @@ def test_a_game_without_an_agent_is_exported_with_the_variant_that_is_named(tmp_
     "words, said",
     [
         (("--layers", "features.nope"), "unknown layer 'features.nope'; there are: "),
-        (("--out", "file"), "File exists: 'file'"),
+        (("--out", "file"), "file must be a folder; it is a file"),
     ],
 )
 def test_an_explanation_that_cannot_be_is_refused_before_a_level_is_looked_for(
@@ -154,6 +230,16 @@ def test_an_explanation_that_cannot_be_is_refused_before_a_level_is_looked_for(
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setattr(GameVectorEnv, "reset", lambda *_, **__: pytest.fail("it was played"))
     assert said in astray("explain", "maze-corner", *words, fails=True)
+
+
+def test_an_explanation_without_room_is_refused_before_a_level_is_looked_for(
+    astray, tmp_path, monkeypatch, full_disk
+):
+    monkeypatch.setattr(GameVectorEnv, "reset", lambda *_, **__: pytest.fail("it was played"))
+    full_disk(100_000)
+    said = astray("explain", "maze-corner", "--out", tmp_path / "page", fails=True)
+    assert said.endswith(f"large; nothing was written: '{tmp_path / 'page' / 'explain.html'}'\n")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("game, variant", [("boat", "race"), ("monsters", "short")])

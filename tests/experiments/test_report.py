@@ -114,7 +114,7 @@ def test_a_gif_has_the_frames_it_was_given_and_lasts_as_long(frames, tmp_path):
 @pytest.mark.parametrize("write", [video.write_mp4, video.write_gif])
 def test_a_folder_that_cannot_be_written_is_named(write, frames, tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(OSError, match=r"cannot write a\.video in .*file: "):
+    with pytest.raises(OSError, match=r"file must be a folder; it is a file"):
         write(frames, tmp_path / "file" / "a.video")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 

@@ -163,9 +163,9 @@ def _explained(path: Path) -> Iterator[None]:
     """Turn every error about an agent's file into one kind."""
     try:
         yield
-    except FileNotFoundError:
-        raise FileNotFoundError(f"no agent at {path}") from None
     except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        if isinstance(error, FileNotFoundError) and not path.exists():  # else a library's own
+            raise FileNotFoundError(f"no agent at {path}") from None
         raise ValueError(f"{path} is not an agent that can be used: {brief(error)}") from error
 
 

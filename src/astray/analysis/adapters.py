@@ -16,6 +16,7 @@ from astray.analysis.trained import AT_ONCE, Network, chosen, recalled
 from astray.envs.vector import Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN
+from astray.imports import guarded
 from astray.training.trainer import Trainer
 from astray.validation import one_of, shown
 
@@ -66,12 +67,8 @@ class Function:
     def actions(self, turn: Turn) -> Answer:
         """Return an action per observation; raise ValueError if the function does not."""
         told = (turn.memory, turn.begins) if self.remembers else ()
-        try:
+        with guarded(self.name, ValueError, ImportError):  # which say what is wrong
             answer = self.choose(turn.observations, *told)
-        except (ValueError, ImportError):  # which say what is wrong
-            raise
-        except Exception as error:
-            raise ValueError(f"{self.name} fails: {error!r:.300}") from error
         if not self.remembers:
             return Answer(_actions(self.name, answer, turn))
         if not isinstance(answer, tuple) or len(answer) != 2:
@@ -87,7 +84,7 @@ def _actions(name: str, chosen: Any, turn: Turn) -> np.ndarray:
     first, count = int(space.start), int(space.n)
     if chosen.shape != (n,) or not np.issubdtype(chosen.dtype, np.integer):
         raise ValueError(
-            f"{name} must return {n} integers, an action for each observation; got "
+            f"{name} must return integers [{n}], an action for each observation; got "
             f"{chosen.dtype} of shape {chosen.shape}"
         )
     if chosen.min() < first or chosen.max() >= first + count:

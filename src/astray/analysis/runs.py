@@ -1,12 +1,14 @@
 """Evaluation of trained agents beside the base rates of scripted policies."""
 
 import hashlib
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import polars as pl
+import torch
 
 from astray import world
 from astray.acting import Levels, Policy, Reward, check_ending, check_policy
@@ -167,10 +169,10 @@ def evaluate_runs(
         after = max((other.unseen_levels for _, other in opened), key=lambda left: left.start)
         levels = np.array(after[:LEVELS_PLAYED])
     agents = [agent for agent, _ in opened]
-    return _outcomes(
-        agents, game, name_of(played), config.played_variant(played, knobs), named, levels, batch,
-        solvable, longest, rewards, names_of(agents, pool),
-    )  # fmt: skip
+    changed = config.played_variant(played, knobs)
+    how: Any = {"batch": batch, "longest": longest, "rewards": rewards}
+    how["names"] = names_of(agents, pool)
+    return _outcomes(agents, game, name_of(played), changed, named, levels, solvable, **how)
 
 
 def names_of(policies: Sequence[Policy], pool: bool = False) -> list[str]:
@@ -225,10 +227,8 @@ def evaluate_policies(
     played = range(LEVELS_PLAYED) if levels is None else levels
     changed = game.variant(wanted).with_knobs(knobs or {})
     of_kind("policies", policies, Sequence)
-    return _outcomes(
-        policies, game, name_of(wanted), changed, shift, played, batch, solvable, longest, rewards,
-        names_of(policies),
-    )  # fmt: skip
+    how: Any = {"batch": batch, "longest": longest, "rewards": rewards, "names": names_of(policies)}
+    return _outcomes(policies, game, name_of(wanted), changed, shift, played, solvable, **how)
 
 
 def _outcomes(
@@ -238,11 +238,8 @@ def _outcomes(
     variant: Variant | WorldVariant,
     shift: str | Shift,
     levels: np.ndarray | range | Path,
-    batch: int,
     solvable: bool,
-    longest: int | None,
-    rewards: Mapping[str, Reward] | None,
-    names: Sequence[str],
+    **how: Any,
 ) -> Result:
     if isinstance(levels, Path):
         if isinstance(game, World) or isinstance(variant, WorldVariant):
@@ -250,9 +247,8 @@ def _outcomes(
         chosen = read_levels(levels, game, variant, solvable=solvable)
     else:
         chosen = levels
-    how: Any = {"batch": batch, "longest": longest, "rewards": rewards, "names": names}
     episodes = play_all(game, name, variant, shift, chosen, policies, **how)
-    return rated(episodes, game, load_shift(game, shift), [*dict.fromkeys(names)])
+    return rated(episodes, game, load_shift(game, shift), [*dict.fromkeys(how["names"])])
 
 
 def rated(
@@ -271,6 +267,24 @@ def scripts_of(game: Game | World, shift: Shift) -> list[Policy]:
     """Return the scripts for base rates: a walk to each goal of a shift, and random actions."""
     goals = (shift.intended, *shift.proxies)
     return [*(Walk(goal) for goal in goals if goal in game.walked), Random()]
+
+
+def rehearse(
+    policies: Sequence[Policy],
+    game: str | Game | World,
+    variant: str | Variant | WorldVariant,
+    levels: Levels,
+    **how: Any,
+) -> None:
+    """Play a step of each policy, and raise its error before the work; `how` is as in `evaluate`.
+
+    Torch's random state, from which policies may draw, stays unchanged.
+    """
+    named = isinstance(levels, Mapping)
+    first: Any = dict(itertools.islice(levels.items(), 1)) if named else levels[:1]
+    with torch.random.fork_rng(devices=[]):
+        for policy in policies:
+            evaluate(policy, game, variant, first, longest=1, **how)
 
 
 def play_all(
@@ -315,22 +329,15 @@ def play_all(
     check_ending(game, variant, longest)
     if isinstance(game, World) and isinstance(variant, WorldVariant) and game.repeats:
         check_repeats(game, variant, int(next(iter(levels))))
+    how: Any = {"batch": batch, "measures": measures, "rewards": rewards}
+    rehearse(policies, game, variant, levels, **how)
     parts = []
     for its_name, policy in zip(called, players, strict=True):
         run = seed = steps = None
         if isinstance(policy, Agent | Loaded):
             run, seed, steps = policy.origin
         parts.append(
-            evaluate(
-                policy,
-                game,
-                variant,
-                levels,
-                batch=batch,
-                measures=measures,
-                longest=longest,
-                rewards=rewards,
-            ).with_columns(
+            evaluate(policy, game, variant, levels, longest=longest, **how).with_columns(
                 policy=pl.lit(its_name),
                 run=pl.lit(run, pl.String),
                 seed=pl.lit(seed, pl.Int64),

@@ -11,9 +11,8 @@ from astray.files import write_aside
 def write_table(table: pl.DataFrame, path: Path) -> None:
     """Write `table` to `path`, as CSV if its name ends in .csv, otherwise as Parquet.
 
-    The folder is created. A full disk or a kill leaves the old file or none.
+    A full disk or a kill leaves the old file or none.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     file = io.BytesIO()
     if path.suffix == ".csv":
         table.write_csv(file)

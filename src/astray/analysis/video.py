@@ -223,7 +223,7 @@ def write_mp4(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
         for frame in even:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
         container.mux(stream.encode())
-    _write(path, file.getvalue())
+    write_aside(path, file.getvalue())
 
 
 def write_gif(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
@@ -249,7 +249,7 @@ def write_gif(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
     images[0].save(
         file, "GIF", save_all=True, append_images=images[1:], duration=milliseconds, loop=0
     )
-    _write(path, file.getvalue())
+    write_aside(path, file.getvalue())
 
 
 def _check(frames: np.ndarray, fps: int) -> None:
@@ -257,12 +257,3 @@ def _check(frames: np.ndarray, fps: int) -> None:
     bounded("fps", fps, 1, FASTEST)
     if frames.ndim != 4 or frames.shape[3] != 3 or frames.dtype != np.uint8 or not frames.size:
         raise ValueError(f"a video is [T, H, W, 3] uint8, not {frames.shape} {frames.dtype}")
-
-
-def _write(path: Path, data: bytes) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_aside(path, data)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise OSError(f"cannot write {path.name} in {path.parent}: {reason}") from error

@@ -112,7 +112,6 @@ def take(source: Path | None = None) -> list[str]:
         raise FileNotFoundError(f"there is no wheel and no checkout of Procgen at {source}")
     if all(map(_is_kept, found)):
         return missing()
-    folder().mkdir(parents=True, exist_ok=True)
     with hold(folder(), "imports pictures to"):
         lacking = {PICTURES[path].kept: data for path, data in found.items() if not _is_kept(path)}
         for kept in lacking:
@@ -121,7 +120,6 @@ def take(source: Path | None = None) -> list[str]:
                     f"{kept} is not Procgen's picture; where it is gone, that is imported"
                 )
         for kept, data in lacking.items():
-            kept.parent.mkdir(parents=True, exist_ok=True)
             write_aside(kept, data)
     return missing()
 

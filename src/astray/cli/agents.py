@@ -37,7 +37,7 @@ from astray.cli.arguments import (
 from astray.cli.settings import Grouped, ungrouped
 from astray.envs.pictures import PICTURES
 from astray.estimate import Estimate
-from astray.files import check_free, check_writable, write_aside
+from astray.files import check_free, check_writable, files_aside, write_aside
 from astray.training.config import Tracking
 from astray.training.folders import PRETRAINED
 from astray.training.settings import SEEDS, otherwise
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from astray.analysis.agency import Assessment
 
 SOME = 300  # levels of `agency`, by default
-SUMMARY, EPISODES = "agency.json", "episodes.parquet"
+SUMMARY, MARK, EPISODES = "agency.json", b'"explanations"', "episodes.parquet"
 POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")
 
 
@@ -237,9 +237,8 @@ def agency(
     from astray.analysis.agency import assess_policy
 
     if out:
-        check_free(out, SUMMARY, b'"explanations"', (EPISODES, *POSTERIOR))
-        for name in (SUMMARY, EPISODES, *POSTERIOR):
-            check_writable(out / name)
+        check_free(out, SUMMARY, MARK, (EPISODES, *POSTERIOR))
+        check_writable(out / SUMMARY)
     policy, rules, _, variant, shift, config = player.open()
     unseen = config.unseen_levels if config else range(SOME)
     chosen = level_numbers(levels) if levels else unseen[:SOME]
@@ -261,14 +260,14 @@ def _write_assessment(assessed: Assessment, frames: np.ndarray, folder: Path) ->
 
     from astray.analysis import video
 
-    folder.mkdir(parents=True, exist_ok=True)
-    write_aside(folder / SUMMARY, json.dumps(assessed.summary()).encode())
-    movie, _, last = (folder / name for name in POSTERIOR)
-    video.write(frames, movie, fps=4)
     picture = io.BytesIO()
     Image.fromarray(frames[-1]).save(picture, "PNG")
-    write_aside(last, picture.getvalue())
-    write_table(assessed.episodes, folder / EPISODES)
+    with files_aside(folder, SUMMARY, MARK) as aside:
+        write_aside(aside / SUMMARY, json.dumps(assessed.summary()).encode())
+        movie, _, last = (aside / name for name in POSTERIOR)
+        video.write(frames, movie, fps=4)
+        write_aside(last, picture.getvalue())
+        write_table(assessed.episodes, aside / EPISODES)
 
 
 def show_amounts(episodes: pl.DataFrame, columns: Sequence[str]) -> None:

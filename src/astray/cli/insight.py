@@ -38,6 +38,7 @@ def explain(
     """
     from astray.acting import initial_states
     from astray.analysis.outcomes import load_shift
+    from astray.analysis.runs import rehearse
     from astray.analysis.trained import Agent, looked_into
     from astray.insight.activations import check_layers
     from astray.insight.explain import PAGE, SIGN, Asked, default_layers
@@ -55,6 +56,7 @@ def explain(
         check_layers(agent, reads)  # pyright: ignore[reportArgumentType]
     check_free(out, PAGE, SIGN, ())
     check_writable(out / PAGE)
+    rehearse([policy], game, levels, [0])
     unseen = config.unseen_levels if config else range(MOST_LEVELS + 2)
     number = level.find(game, levels)
     if number is None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional
 
 from astray.cli.arguments import AN_AGENT, Acting, GivenLevel, OwnPolicy
-from astray.files import read
+from astray.files import check_empty, read
 from astray.training.settings import otherwise
 from astray.validation import bounded
 
@@ -59,6 +59,8 @@ def lab(
     start: dict[str, Any] = {"game": policy.game, "variant": variant, "level": level.level}
     if level.level_file is not None:
         start["level"] = read(level.level_file, 2**20).decode()
+    if export is not None:
+        check_empty(export)
     made = make_lab(shown, start)
     if export is not None:
         from astray.lab.export import export as write

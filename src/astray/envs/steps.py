@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from astray.envs.rows import rows
+from astray.imports import guarded
 from astray.validation import shown
 
 
@@ -52,7 +53,9 @@ def paid(reward: Reward, step: Step) -> np.ndarray:
     Raises:
         ValueError: If it is anything but n finite numbers.
     """
-    found, n = np.asarray(reward(step)), len(step.rewards)
+    with guarded(f"the reward {shown(reward)}", ValueError, ImportError):
+        given = reward(step)
+    found, n = np.asarray(given), len(step.rewards)
     if found.shape != (n,) or found.dtype.kind not in "biuf" or not np.isfinite(found).all():
         raise ValueError(
             f"a reward must return {n} finite numbers, one for each episode of the step; got "

@@ -175,7 +175,7 @@ class WorldVectorEnv:
             chosen = np.asarray(actions)
             if chosen.shape != (n,) or chosen.dtype.kind not in "iu":
                 raise ValueError(
-                    f"a policy must return {n} integers, an action for each environment; got "
+                    f"a policy must return integers [{n}], an action for each environment; got "
                     f"{chosen.dtype} of shape {chosen.shape}"
                 )
             if chosen.min() < space.start or chosen.max() > last:

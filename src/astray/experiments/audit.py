@@ -13,11 +13,11 @@ from astray import world
 from astray.acting import Policy, Reward
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import amounts, load_shift, matrix
-from astray.analysis.runs import LEVELS_PLAYED, Mode, open_run, rated, shift_of
+from astray.analysis.runs import LEVELS_PLAYED, Mode, load_agent, rated, shift_of
 from astray.experiments import outcomes
 from astray.experiments.run import reproduce
 from astray.experiments.spec import Experiment, OwnAgents, Plan, Test, Work
-from astray.files import make_folder, write_aside
+from astray.files import write_aside
 from astray.game import Game
 from astray.record import LEVELS
 from astray.report.findings import Findings, Table
@@ -118,16 +118,11 @@ def _opened(
         found = AgentFolder.open(agent)
         how = [*(["greedy"] if mode == "greedy" else []), *([art] if art else [])]
         name = name_of(found.path) + (f" ({', '.join(how)})" if how else "")
-        return found.config(), partial(_load, mode=mode, art=art), found.weights.parent, name
+        return found.config(), partial(load_agent, mode=mode, art=art), found.weights.parent, name
     # Nobody knows what such a policy depends on, so that no table of another audit is reused.
     place = Path(folder) / "agents" / f"audit-{agent.name}"
-    make_folder(place)
     write_aside(place / "audit.txt", uuid.uuid4().hex.encode())
     return None, lambda path: agent, place, agent.name
-
-
-def _load(path: Path, mode: Mode, art: str | None) -> Policy:
-    return open_run(path, mode, art)[0]
 
 
 def findings(work: Work) -> Findings:

@@ -19,7 +19,7 @@ from astray.analysis.trained import Agent
 from astray.experiments.outcomes import curve_plot
 from astray.figures import charts
 from astray.figures.style import save
-from astray.files import check_free
+from astray.files import check_free, files_aside
 from astray.game import Game, Shift, Variant
 from astray.report.claims import holm, nonzero
 from astray.report.findings import Code, Item, Plot, Section, Table, Video
@@ -72,8 +72,6 @@ def compare(
     differences = paired(result, names)
     where: Any = variant or between.test
     shown: list[Plot] = [_outcomes(result, names), *_curves(policies, names)]
-    for plot in shown:
-        save(plot.figure, folder / "figures", plot.name)
     told: dict[str, Sequence[Item]] = {
         "": [
             *result.verdict.splitlines(),
@@ -82,16 +80,18 @@ def compare(
         ],
         "Outcomes": [shown[0], Table("outcomes", "Rates and 95 % intervals", result.table)],
         "In the same levels": [Table("differences", _caption(result), differences)],
-        "Side by side": _videos(
-            dict(zip(names, policies, strict=True)), game, where, result, folder
-        ),
-        "Learning curves": shown[1:],
     }
-    sections = [Section(heading, items) for heading, items in told.items()]
-    write_page(
-        folder / PAGE, f"{', '.join(names)} in {_name(game, where)}", sections,
-        figures=folder / "figures", answer=_answer(differences), sign=WRITER,
-    )  # fmt: skip
+    players = dict(zip(names, policies, strict=True))
+    with files_aside(folder, PAGE, SIGN) as aside:
+        told["Side by side"] = _videos(players, game, where, result, aside)
+        told["Learning curves"] = shown[1:]
+        for plot in shown:
+            save(plot.figure, aside / "figures", plot.name)
+        write_page(
+            aside / PAGE, f"{', '.join(names)} in {_name(game, where)}",
+            [Section(heading, items) for heading, items in told.items()],
+            figures=aside / "figures", answer=_answer(differences), sign=WRITER,
+        )  # fmt: skip
     return folder / PAGE
 
 

@@ -143,7 +143,6 @@ def pull(
         take = _taker(api, answers, repository, commit, offline)
         for path, (size, digest) in promised.items():
             here = take(path, LARGEST_AGENT if AGENT.fullmatch(path) else LARGEST)
-            (aside / path).parent.mkdir(parents=True, exist_ok=True)
             write_aside(aside / path, _checked(repository, path, here, size, digest))
         _check_agent(repository, aside)
         source = {"repository": repository, "commit": commit, "revision": revision}

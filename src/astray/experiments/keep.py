@@ -1,5 +1,6 @@
 """Pretrained agents: weights without the training's state, and a card about the agent's goals."""
 
+import io
 import json
 import shutil
 from collections.abc import Iterator
@@ -103,7 +104,8 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     write_table(data, folder / "curve.csv")
     label = "reward per step" if per_step else "return"
     drawn = learning_curves(data.with_columns(seed=pl.lit(config.seed)), there, label)
-    drawn.savefig(folder / "curve.png")
+    drawn.savefig(file := io.BytesIO())
+    write_aside(folder / "curve.png", file.getvalue())
 
 
 def write_card(name: str, run: Path, shift: str, levels: int) -> None:

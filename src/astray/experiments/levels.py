@@ -2,13 +2,14 @@
 
 import functools
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import polars as pl
 
 from astray.acting import check_ending
 from astray.analysis.overlap import met, unseen
-from astray.analysis.runs import play_all
+from astray.analysis.runs import play_all, rehearse
 from astray.experiments.spec import Plan, Runs, Test, open_agents
 from astray.game import Variant
 from astray.published.imported import SPARED
@@ -76,17 +77,13 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
     owners = pl.DataFrame(
         [{"run": str(run), "agent": name} for name, made in runs.items() for run in made]
     )
+    how: Any = {"measures": plan.measures, "rewards": plan.rewards}
+    levels = {name: levels_of(plan, test) for name, test in plan.tests.items()}
+    for name, test in plan.tests.items():  # all of them before the first is played
+        rehearse(players, plan.game, plan.variant_of(test), levels[name], **how)
     parts = []
     for name, test in plan.tests.items():
-        played = play_all(
-            plan.game,
-            test.name,
-            plan.variant_of(test),
-            test.shift,
-            levels_of(plan, test),
-            players,
-            measures=plan.measures,
-            rewards=plan.rewards,
-        )
+        variant = plan.variant_of(test)
+        played = play_all(plan.game, test.name, variant, test.shift, levels[name], players, **how)
         parts.append(played.with_columns(test=pl.lit(name)))
     return pl.concat(parts).join(owners, on="run", how="left", maintain_order="left")

@@ -7,6 +7,7 @@ import os
 import re
 import sys
 import uuid
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -37,11 +38,12 @@ from astray.report import page as report
 from astray.report.claims import corrected
 from astray.report.page import COMPUTED
 from astray.training import checkpoint, folders
-from astray.training.config import Config, Tracking
+from astray.training.config import SOLVER, Config, Fast, Tracking
 from astray.training.folders import AgentFolder
 from astray.training.loop import checked
 from astray.training.teacher import give
 from astray.training.track import check_installed
+from astray.training.trainer import Trainer
 from astray.validation import brief, one_of
 
 ALL = "all"  # experiments of a size
@@ -84,7 +86,6 @@ def reproduce(
     if track:
         check_installed(track)
     check_free(folder, PLAN, b'"sources"', report.WRITTEN)
-    folder.mkdir(parents=True, exist_ok=True)
     given = experiment if isinstance(experiment, str) else name
     heading = report.Heading(
         name=name,
@@ -139,22 +140,16 @@ def train_agents(
 
     Published agents must be present, because nothing is downloaded without request.
     """
-    there = {name: [published_run(agent)] for name, agent in plan.published.items()}
-    if plan.own:
-        check_tests(plan)  # before whatever their training takes
-    there |= {name: own_runs(plan, name, root) for name in plan.own}
-    trainings = plan.trainings()
-    runs = there | {
-        name: [run_folder(root, config) for config in configs]
-        for name, configs in trainings.items()
-    }
-    todo = {
-        run: config
-        for name, configs in trainings.items()
-        for run, config in zip(runs[name], configs, strict=True)
-    }
-    if not all(checkpoint.finished(run, config) for run, config in todo.items()):
+    runs = {name: [published_run(agent)] for name, agent in plan.published.items()}
+    trainings, todo = plan.trainings(), {}
+    for name, configs in trainings.items():
+        runs[name] = [run_folder(root, config) for config in configs]
+        todo |= dict(zip(runs[name], configs, strict=True))
+    missing = not all(checkpoint.finished(run, config) for run, config in todo.items())
+    if plan.own or missing:
         check_tests(plan)  # before hours of training, not after
+    runs |= {name: own_runs(plan, name, root) for name in plan.own}
+    if missing:
         if on == "here":  # else some of these wait for their turn
             check_trainable(trainings)
         if plan.speed and on == "here":
@@ -197,7 +192,13 @@ def check_trainable(trainings: Mapping[str, Iterable[Config]]) -> None:
     """Raise ValueError if one of the trainings, by agents' names, could not begin here."""
     for name, (config, *_) in trainings.items():
         try:
-            checked(config, None, None, None).code()
+            config = checked(config, None, None, None)
+            if config.teacher not in (None, SOLVER):  # whose weights are not here yet
+                config = replace(config, teacher=None, taught=1.0)
+            if config.device != "cpu":  # whose memory is for the trainings
+                config = replace(config, device="cpu", fast=Fast())
+            with warnings.catch_warnings(action="ignore"):  # the training warns
+                Trainer(config).close()
         except ValueError as error:
             raise ValueError(f"{name} cannot be trained: {error}") from error
 

@@ -40,7 +40,6 @@ STYLE: dict[Any, Any] = {
 
 def save(figure: Figure, folder: Path, name: str) -> None:
     """Write `<name>.png` and `<name>.svg`; equal figures give equal bytes."""
-    folder.mkdir(parents=True, exist_ok=True)
     png, svg = io.BytesIO(), io.BytesIO()
     # The SVG's text and ids are settings of matplotlib, not arguments; they are put back after.
     with matplotlib.rc_context(STYLE):

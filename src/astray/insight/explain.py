@@ -21,7 +21,7 @@ from astray.analysis.trained import Model, Opaque, check_network
 from astray.envs.pictures import picture
 from astray.figures.grids import Picture, images
 from astray.figures.style import save
-from astray.files import check_free
+from astray.files import files_aside
 from astray.game import Shift, Variant
 from astray.insight import attribution, episode, field_figures, probes
 from astray.insight.activations import layers
@@ -105,18 +105,18 @@ def explain(asked: Asked, folder: Path, heading: str, progress: bool = False) ->
     plots = [item for item in shown if isinstance(item, Plot)]
     tables = {item.name: item.frame for item in shown if isinstance(item, Table)}
     tables |= {plot.name: plot.data for plot in plots if plot.data is not None}
-    figures = [f"{plot.name}.{end}" for plot in plots for end in ("png", "svg")]
-    check_free(folder, PAGE, SIGN, (*figures, *(f"{name}.parquet" for name in tables)))
-    for plot in plots:
-        save(plot.figure, folder, plot.name)
-    for name, table in tables.items():
-        write_table(table, folder / f"{name}.parquet")
     about = "Figures and tables lie beside this page. The level, for `--level-file`:"
     last = Section("How to go on", [about, Code(asked.level)])
-    write_page(
-        folder / PAGE, heading, [*parts, last], figures=folder, sign=WRITER, lab=asked.lab,
-        answer=f"{_verdict(asked)} {asked.agent.caveat}".strip(),
-    )  # fmt: skip
+    answer = f"{_verdict(asked)} {asked.agent.caveat}".strip()
+    with files_aside(folder, PAGE, SIGN) as aside:
+        for plot in plots:
+            save(plot.figure, aside, plot.name)
+        for name, table in tables.items():
+            write_table(table, aside / f"{name}.parquet")
+        write_page(
+            aside / PAGE, heading, [*parts, last], figures=aside, sign=WRITER, lab=asked.lab,
+            answer=answer,
+        )  # fmt: skip
     return folder / PAGE
 
 

@@ -6,7 +6,6 @@ place of goal and agent, the policy and the value, one byte each.
 """
 
 import json
-import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ from astray import games, grid
 from astray.acting import initial_states
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
-from astray.files import folder_aside, write_aside
+from astray.files import check_empty, folder_aside, write_aside
 from astray.game import Game, Variant
 from astray.insight.fields import states_at
 from astray.lab import translate
@@ -63,9 +62,7 @@ def export(
     of_kind("lab", lab, Lab)
     folder = Path(folder)
     bounded("levels", levels, 1, 10_000)
-    is_there = os.path.lexists(folder)
-    if is_there and (folder.is_symlink() or not folder.is_dir() or any(folder.iterdir())):
-        raise FileExistsError(f"{folder} must be new, or an empty folder; there is something in it")
+    is_there = check_empty(folder)
     chosen = agents if agents is not None else _chosen(lab)
     further = games or {}
     _check_exportable(lab, chosen, further)
@@ -272,6 +269,5 @@ def table(
 
 def _write(path: Path, data: Any) -> None:
     """Write bytes as they are, and other data as JSON."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     is_bytes = isinstance(data, bytes)
     write_aside(path, data if is_bytes else json.dumps(data, separators=(",", ":")).encode())

@@ -47,20 +47,18 @@ def make_lab(agent: str | Path | Policy | None, start: Mapping[str, Any]) -> Lab
     if not name and start.get("game") is None:
         name = _first_agent(agents, start.get("variant"))
     first: dict[str, Any] = {"agent": name}
-    if name:
-        about = agents.about(name)
+    about = agents.about(name) if name else {}
+    if about:
         first |= {"game": about["game"], "variant": about["test"]}
     first |= {key: value for key, value in start.items() if value is not None}
     game = games.find(first.get("game", games.OWN[0]))
-    if name and agents.about(name)["game"] != game.name:
-        raise ValueError(f"the agent {name!r} plays {agents.about(name)['game']}, not {game.name}")
+    if about and about["game"] != game.name:
+        raise ValueError(f"the agent {name!r} plays {about['game']}, not {game.name}")
     game.variant(first.setdefault("variant", next(iter(game.variants))))
     if "level" not in first:
-        shift = game.shifts.get(agents.about(name)["shift"]) if name else None
+        shift = game.shifts.get(about.get("shift", ""))
         if shift and first["variant"] == shift.test:
-            test = game.variant(shift.test).with_knobs(
-                agents.about(name)["knobs"].get(shift.test, {})
-            )
+            test = game.variant(shift.test).with_knobs(about["knobs"].get(shift.test, {}))
             first["level"] = first_distinguishing(game, test, shift, agent=agents.player(name))
         else:
             first["level"] = 0

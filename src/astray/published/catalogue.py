@@ -125,7 +125,6 @@ def fetch(one: Published, *, unchecked: bool = False) -> Path:
         to = home / RESULTS / f"{one.name}.csv"
         download(one.address, to, size=one.size, digest=one.digest)
         return to
-    home.mkdir(parents=True, exist_ok=True)
     with hold(home, "fetches an agent to"):  # also until it is imported: the file is one for all
         folders.check_new(one.name)
         file = home / DOWNLOADS / one.file

@@ -45,7 +45,6 @@ def download(address: str, to: Path, *, size: int | None, digest: str | None) ->
         ValueError: If another file arrives, which is removed.
     """
     _check_address(address)
-    to.parent.mkdir(parents=True, exist_ok=True)
     with hold(to.parent, "downloads to"):
         if os.path.lexists(to):
             if digest and not to.is_symlink() and digest_of(read(to, LARGEST), digest) == digest:

@@ -80,7 +80,6 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
     }  # fmt: skip
     with made(folders.home(), name) as aside:
         there = aside / "checkpoints" / f"{known.steps or 0}"
-        there.mkdir(parents=True)
         weights = policy.weights(found.network, found.architecture, config.game)
         write_aside(there / AGENT, weights)
         _write(aside / CONFIG, {"config": config.to_json()})

@@ -31,11 +31,8 @@ from astray.files import (
     folder_aside,
     hold,
     holds_only,
-    make_folder,
     read,
-    remove_empty,
     remove_left,
-    remove_made,
     write_aside,
 )
 from astray.training import parallel
@@ -67,48 +64,42 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
         return
     path, there = folder / CONFIG, folder / "checkpoints"
     begun = False
-    try:
-        made = make_folder(folder)
-        lock = hold(folder, "is training in", wait)
-    except Timeout:
-        raise Claimed(f"another process is training in {folder}") from None
-    except OSError as error:
-        raise OSError(
-            error.errno, f"{error.strerror}; no run can be kept in", str(folder)
-        ) from error
-    try:
-        if os.path.lexists(there) and not there.is_dir():  # as a link to a disk that is not there
-            raise NotADirectoryError(f"{there} must be a folder, or not be there")
-        for name in (path.name, METRICS):  # a link would be replaced, or what it leads to
-            check_own(folder / name)
-        if path.exists():
-            check(folder, config)
-        else:
-            versions = {
-                "python": platform.python_version(),
-                "torch": torch.__version__,
-                "numpy": np.__version__,
-                "numba": numba.__version__,
-                "gymnasium": gymnasium.__version__,
-                "sources": provenance.digest(Trainer, config.code()),
-            }
-            data = {"config": config.to_json(), "versions": versions}
-            write_aside(path, json.dumps(data, indent=2).encode())
-            begun = True
-        remove_left(folder, (path.name, METRICS))
-        remove_left(there, (AGENT, TRAINER))
-        parallel.wait()
-        yield
-    except BaseException:
-        # One that was refused, as for its memory, leaves nothing that another would be held to.
-        if begun and not there.exists() and not (folder / METRICS).exists():
-            path.unlink(missing_ok=True)
-        raise
-    finally:
-        lock.release()
-        if made:
-            remove_empty(folder)
-            remove_made(made)
+    with contextlib.ExitStack() as held:
+        try:
+            held.enter_context(hold(folder, "is training in", wait))
+        except Timeout:
+            raise Claimed(f"another process is training in {folder}") from None
+        except OSError as error:
+            raise OSError(f"no run can be kept in {folder}: {error}") from error
+        try:
+            # As a link to a disk that is not there.
+            if os.path.lexists(there) and not there.is_dir():
+                raise NotADirectoryError(f"{there} must be a folder, or not be there")
+            for name in (path.name, METRICS):  # a link would be replaced, or what it leads to
+                check_own(folder / name)
+            if path.exists():
+                check(folder, config)
+            else:
+                versions = {
+                    "python": platform.python_version(),
+                    "torch": torch.__version__,
+                    "numpy": np.__version__,
+                    "numba": numba.__version__,
+                    "gymnasium": gymnasium.__version__,
+                    "sources": provenance.digest(Trainer, config.code()),
+                }
+                data = {"config": config.to_json(), "versions": versions}
+                write_aside(path, json.dumps(data, indent=2).encode())
+                begun = True
+            remove_left(folder, (path.name, METRICS))
+            remove_left(there, (AGENT, TRAINER))
+            parallel.wait()
+            yield
+        except BaseException:
+            # One that was refused, as for its memory, leaves nothing that another would be held to.
+            if begun and not there.exists() and not (folder / METRICS).exists():
+                path.unlink(missing_ok=True)
+            raise
 
 
 def check(folder: Path, config: Config) -> None:

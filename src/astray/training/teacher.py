@@ -19,7 +19,7 @@ from astray.acting import Actor, Answer, Turn
 from astray.agents import policy
 from astray.agents.recurrent import Recurrent
 from astray.envs.vector import GameVectorEnv
-from astray.files import check_own, make_folder, read, remove_empty, remove_made, write_aside
+from astray.files import check_own, make_folder, read, remove_made, write_aside
 from astray.record import trusted
 from astray.training import ppo
 from astray.training.config import Config
@@ -53,9 +53,7 @@ def teaching(weights: Path, run: Path) -> Iterator[None]:
     except BaseException:
         if not (run / CONFIG).exists():
             (run / TEACHER).unlink(missing_ok=True)
-            if missing:
-                remove_empty(run)
-                remove_made(missing)
+            remove_made(missing)
         raise
 
 
@@ -66,7 +64,6 @@ def give(weights: Path, run: Path) -> None:
         if read(path) != data:
             raise ValueError(f"{path} must be the teacher at {weights}; it is another")
         return
-    run.mkdir(parents=True, exist_ok=True)
     check_own(path)
     write_aside(path, data)
 

@@ -42,7 +42,6 @@ def run_sweep(
         track: External tracker of the trainings.
     """
     check_free(folder, SWEPT, b'"axes"', (*report.WRITTEN, OUTCOMES, RATES))
-    folder.mkdir(parents=True, exist_ok=True)
     with hold(folder, "sweeps in"):
         _note(sweep, folder)
         plans = sweep.plans()
