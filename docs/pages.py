@@ -246,7 +246,8 @@ def knob_rows(kind: type[Variant]) -> Iterator[tuple[str, ...]]:
             said = next(filter(None, (comment(owner, field.name) for owner in kind.__mro__)), "")
             default = "" if field.default is MISSING else code(field.default)
             choices = getattr(hints[field.name], "__args__", None)
-            shown = " ".join(map(code, choices)) if choices else code(field.type)
+            named = getattr(field.type, "__name__", field.type)
+            shown = " ".join(map(code, choices or [named]))
             yield code(field.name), shown, default, said
 
 

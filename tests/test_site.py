@@ -72,6 +72,33 @@ def test_axe_finds_nothing_on_a_page_of_the_site(page, width, site, chrome):
     context.close()
 
 
+BROKEN = """(widths) => {
+  const told = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  const found = [];
+  while (told.nextNode()) {
+    if (!told.currentNode.parentElement.closest("code")) continue;
+    for (const { index, 0: option } of told.currentNode.data.matchAll(/--\\w[\\w-]*/g)) {
+      const range = new Range();
+      range.setStart(told.currentNode, index);
+      range.setEnd(told.currentNode, index + option.length);
+      found.push([option, range]);
+    }
+  }
+  return found.length && widths.flatMap((width) => {
+    document.body.style.width = `${width}px`;
+    return found.filter(([, range]) => range.getClientRects().length > 1).map(([option]) => option);
+  });
+}"""
+
+
+def test_no_line_ends_within_an_option(site, chrome):
+    context = chrome.new_context(viewport={"width": 420, "height": 900})
+    shown = context.new_page()
+    shown.goto((site / "published.html").as_uri())
+    assert shown.evaluate(BROKEN, [*range(300, 421, 10)]) == []
+    context.close()
+
+
 def test_a_header_without_words_has_no_border(site, chrome):
     context = chrome.new_context()
     shown = context.new_page()

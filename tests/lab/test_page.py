@@ -151,6 +151,10 @@ def test_the_agent_takes_over_and_the_goal_that_it_seems_to_pursue_is_told(page)
     now, places = page.evaluate("[lab.now, lab.episode.states.map(({ x, y }) => [x, y])]")
     assert now == len(places) - 1  # its idle time is neither played nor told of
     assert page.evaluate("lab.episode.ended") or places[now - 8] == places[now]
+    page.locator("[data-lab=bookmarks] button").nth(1).focus()
+    page.keyboard.press("Enter")
+    wait(page, f"lab.now !== {now}")
+    assert page.evaluate("lab.part('bookmarks').contains(document.activeElement)")  # still
 
 
 def test_an_agent_that_picks_up_and_drops_in_its_place_is_not_idle(chrome):
@@ -376,9 +380,14 @@ def test_nothing_is_wider_than_the_page(chrome, served, width, theme):
         assert not told
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-def test_the_lab_is_accessible(chrome, served, theme):
-    with opened(chrome, served, bypass_csp=True, color_scheme=theme) as (page, _):
+@pytest.mark.parametrize(
+    "way, words, theme",
+    [("served", "", "light"), ("served", "", "dark"), ("static", "", "light"),
+     ("static", "?embedded=small", "dark")],
+)  # fmt: skip
+def test_the_lab_is_accessible(chrome, request, way, words, theme):
+    address = request.getfixturevalue(way) + words
+    with opened(chrome, address, bypass_csp=True, color_scheme=theme) as (page, _):
         page.get_by_role("button", name="Hand over").click()
         wait(page, "lab.goals && !lab.running")
         assert violations(page) == []

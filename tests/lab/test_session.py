@@ -227,6 +227,14 @@ def test_the_best_way_takes_the_coin_that_ends_the_episode(session):
     assert (x, y) == (s.coin_x, s.coin_y) and told["steps"] == len(told["cells"]) - 1
 
 
+def test_there_is_no_best_way_after_the_end(session):
+    runner = {"game": "coinrun", "variant": "coin-end", "level": 3, "agent": "coin-end"}
+    played = ask(session, "play", **runner, steps=400)
+    assert played["ended"]
+    told = ask(session, "route", **runner, actions=played["actions"], goal="wall")
+    assert told["error"] == "the episode has ended: go back a step, and ask from there"
+
+
 def test_probes_are_not_fitted_to_the_level_that_they_read(monkeypatch):
     lab, played = make_lab("maze-corner", {}), []
 

@@ -171,8 +171,13 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
     """Return the best way to a goal from the episode's last state, and the first object on it.
 
     The way is walked to find its cells, the first object that disappears, and the number of steps.
+
+    Raises:
+        ValueError: If the episode has ended.
     """
     world, game, event = episode.world, episode.world.game, episode.world.game.event(goal)
+    if episode.ended:
+        raise ValueError("the episode has ended: go back a step, and ask from there")
     policy = Walk(goal, quickest(game))
     walk = Episode(world, [episode.state]).play(policy, LONGEST)
     (s,) = episode.state.view(np.recarray)

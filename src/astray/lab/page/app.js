@@ -22,7 +22,7 @@ export class Lab {
     this.fields = new Map(); // "x,y" -> {cell, policy, value}
     this.others = new Map(); // also, of what is compared with
     this.splay = new Map();
-    Object.assign(this, { past: [], future: [], pictures: {}, now: 0, errors: [] });
+    Object.assign(this, { past: [], future: [], pictures: {}, now: 0 });
     this.stage = new Stage(this);
     this.panels = new Panels(this);
     this.editor = new Editor(this);
@@ -173,17 +173,13 @@ export class Lab {
     } catch (error) {
       if (this.changing !== mine) return;
       this.broken = true;
-      this.#forget();
+      this.fields.clear();
+      this.others.clear();
+      this.splay.clear();
+      this.goals = this.way = null;
       this.panels.problem(error.message);
       this.stage.redraw();
     }
-  }
-
-  #forget() {
-    this.fields.clear();
-    this.others.clear();
-    this.splay.clear();
-    this.goals = this.way = null;
   }
 
   undo = () => this.#swap(this.past, this.future);
@@ -221,12 +217,8 @@ export class Lab {
     const mine = (this.telling = Symbol("level"));
     this.panels.distinguishes(null);
     if (!this.shift || this.rules.real_time || this.about.engine === "static") return;
-    try {
-      const told = await this.engine.ask(this.question("distinguishes"));
-      if (told && this.telling === mine) this.panels.distinguishes(told.distinguishes);
-    } catch (error) {
-      this.errors.push(error.message);
-    }
+    const told = await this.engine.ask(this.question("distinguishes")).catch(() => null);
+    if (told && this.telling === mine) this.panels.distinguishes(told.distinguishes);
   }
 
   get shift() {
@@ -251,7 +243,6 @@ export class Lab {
       this.stage.redraw();
       return;
     }
-    const begun = performance.now();
     let first = true;
     const add = ({ cells, policy, value, same }) => {
       if (first) fields.clear();
@@ -262,8 +253,7 @@ export class Lab {
       this.stage.redraw();
     };
     try {
-      const last = await this.#ask({ ...question, slot }, add);
-      if (last && slot === "own") this.took = performance.now() - begun;
+      await this.#ask({ ...question, slot }, add);
     } catch (error) {
       fields.clear();
       if (slot === "own" || !this.problem) this.panels.problem(error.message);
@@ -326,7 +316,6 @@ export class Lab {
         this.goals = (await this.engine.ask(question)) ?? this.goals;
       } catch (error) {
         this.goalless = error.message;
-        this.errors.push(error.message);
       }
     }
     this.panels.pursued();

@@ -120,15 +120,10 @@ export class Editor {
     const wanted = this.tool === "wall" ? "wall" : this.tool;
     if (there === "agent" || (this.painting ? there !== "" : there !== wanted)) return;
     const level = this.#copy();
-    const code = this.tool === "wall" ? this.#wall() : legend[objects[this.tool]];
+    const code = this.tool === "wall" ? legend["#"] ?? 1 : legend[objects[this.tool]];
     level.grid[cell[1]][cell[0]] = this.painting ? code : legend["."];
     level.looks = carried(level.looks, cell);
     this.lab.edit(level, first);
-  }
-
-  #wall() {
-    const { legend } = this.lab.rules;
-    return legend["#"] ?? 1;
   }
 
   #copy() {

@@ -167,7 +167,6 @@ export class Stage {
       const { view } = lab.look;
       if (view && !lab.part("zoom").checked) {
         const { x, y } = this.state;
-        paint.strokeStyle = "#ffffff";
         for (const [style, width] of [["rgba(255,255,255,.8)", 4], [ink, 2]]) {
           paint.strokeStyle = style;
           paint.lineWidth = width;

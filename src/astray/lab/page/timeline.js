@@ -32,9 +32,12 @@ export function advantagesOf({ about, agent, episode }) {
 }
 
 function bookmarks(lab, marks) {
-  lab.part("bookmarks").replaceChildren(...marks.map(([name, step]) => {
+  const box = lab.part("bookmarks");
+  const texts = marks.map(([name, step]) => `${name}: step ${step}`);
+  if (texts.join() === [...box.children].map((one) => one.textContent).join()) return; // keeps the focus
+  box.replaceChildren(...marks.map(([, step], k) => {
     const button = document.createElement("button");
-    button.textContent = `${name}: step ${step}`;
+    button.textContent = texts[k];
     button.addEventListener("click", () => lab.go(step));
     return button;
   }));
