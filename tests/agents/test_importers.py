@@ -335,6 +335,7 @@ REFUSED_JD = {
         lambda: joblib_bytes({"args": {}, "params": {"a": 3}}),
         "'a', which is not an array",
     ),
+    "no word": (lambda: joblib_bytes(clarity(cnn=np.zeros(3))[0]), "its network is array"),
     "no dimension": (lambda: wrong("pi/b", ()), "chooses from 0 actions"),
 }  # fmt: skip
 

@@ -287,6 +287,14 @@ def reset(**options):
         (lambda: measure.measure([1]), "an episode must be a Episode; got 1"),
         (lambda: measure.Options(beta="x"), "beta must be a finite number from 1 on; got 'x'"),
         (lambda: train({}, "run"), "config must be a Config; got {}"),
+        (
+            lambda: evaluate_policies([Function(len)], "maze", "corner-small", {1, 2}),
+            "must be integer",
+        ),
+        (
+            lambda: evaluate_policies([Function(len)], "maze", "corner-small", map(int, "12")),
+            "must be",
+        ),
     ],
 )
 def test_what_is_something_else_is_told(call, message):
@@ -298,6 +306,7 @@ def test_what_is_something_else_is_told(call, message):
     "measures, message",
     [
         (5, "measures must be a Mapping; got 5"),
+        ({"m": lambda: 5}, r"the measure 'm' fails: TypeError\("),
         ({"m": 5}, "measures must be functions of states by name; got 'm': 5"),
         ({"level": len}, "measures have the names of other columns: level"),
         ({"m": lambda s: s["time"][:1]}, "the measure 'm' must return 2 values"),

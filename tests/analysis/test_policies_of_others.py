@@ -79,6 +79,20 @@ def test_a_recurrent_model_of_sb3_contrib_plays_as_by_hand():
     assert played(from_sb3(model, greedy=True), 3) == hand
 
 
+def test_the_network_of_a_model_sees_planes_as_the_model_does():
+    sb3 = pytest.importorskip("stable_baselines3")
+    from astray.envs.sb3 import GameVecEnv
+
+    shown = {"observation": "symbolic", "autoreset_mode": "SameStep"}
+    env = GameVecEnv(gymnasium.make_vec("astray/maze-corner-small-v0", 2, **shown))
+    model = sb3.PPO("MlpPolicy", env, n_steps=8, batch_size=16, device="cpu")
+    policy, seen = from_sb3(model, observation="symbolic", greedy=True), env.reset()
+    assert policy.network.space.shape == seen.shape[1:] == (4, 7, 7)
+    logits, values = policy.network.outputs(seen)
+    assert logits.argmax(-1).tolist() == model.predict(seen, deterministic=True)[0].tolist()
+    assert values.shape == (2,)
+
+
 def actor_of_torchrl(recurrent, one_hot):
     modules = pytest.importorskip("torchrl.modules")
     from tensordict.nn import ProbabilisticTensorDictModule, TensorDictModule

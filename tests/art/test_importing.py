@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import io
+import struct
 import sys
 import threading
 import zipfile
@@ -105,6 +106,25 @@ def spoilt(pack, path):
     return path
 
 
+def misplaced(at, value):
+    """A wheel whose last record has a number of 32 bits `at` a byte from its beginning."""
+
+    def make(pack, path):
+        data = bytearray(wheel_of(path, pack).read_bytes())
+        struct.pack_into("<L", data, data.rfind(b"PK\5\6") + at, value)
+        path.write_bytes(data)
+        return path
+
+    return make
+
+
+def unnamed(pack, path):
+    """A wheel with a name that is no text."""
+    data = wheel_of(path, pack | {"\u00e9.png": b"1"}).read_bytes()
+    path.write_bytes(data.replace("\u00e9".encode(), b"\xff\xff"))
+    return path
+
+
 def plain(text, path):
     path.write_text(text)
     return path
@@ -120,6 +140,8 @@ def plain(text, path):
         (encrypted, "is refused: its '.*/a.png' is encrypted"),
         (cut, "is not a complete wheel"),
         (spoilt, "is not a complete wheel|is another picture"),
+        (misplaced(16, 2**31), "whl is not a complete wheel"),
+        (unnamed, "whl is not a complete wheel"),
         (lambda pack, path: plain("", path), "is not a complete wheel"),
         (lambda pack, path: plain("wheel", path), "is not a complete wheel"),
         (lambda pack, path: wheel_of(path, {}), "it lacks kenney/a.png"),

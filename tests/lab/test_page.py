@@ -259,6 +259,7 @@ def test_a_link_holds_level_and_agent(chrome, page, served):
     "change, agent, said",
     [
         (("agent=maze-corner", "agent=foo"), "", "The agent 'foo' is not in this lab; no agent"),
+        (("agent=maze-corner", "agent=constructor"), "", "'constructor' is not in this lab; no"),
         (("agent=maze-corner", "agent=coin-end"), "", "'coin-end' plays coinrun, not maze"),
         (("game=maze", "game=chess"), "", "This lab has no game 'chess'."),
         (("variant=anywhere-small", "variant=nope"), "maze-corner", "no variant 'nope' of maze"),

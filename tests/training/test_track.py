@@ -13,12 +13,21 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 import astray
+from astray.experiments import track as behaviour
 from astray.training import checkpoint, track
 from astray.training.loop import train
 from helpers.processes import environment
 from helpers.trainings import TINY, digest
 
 CONFIG = replace(TINY, knobs={})
+
+
+def test_an_agent_whose_test_may_never_end_is_not_played_for_a_tracker(tmp_path, monkeypatch):
+    config = replace(TINY, knobs={**TINY.knobs, "time_limit": 2_000_000})
+    agent = SimpleNamespace(path=tmp_path / "1024" / checkpoint.AGENT)
+    monkeypatch.setattr(behaviour, "open_run", lambda run: (agent, config))
+    monkeypatch.setattr(behaviour, "evaluate_runs", lambda *_, **__: pytest.fail("it plays"))
+    assert behaviour.track_outcomes(tmp_path, "trackio") is None
 
 
 class Kept:

@@ -118,14 +118,14 @@ def from_sb3(
         actions, state = model.predict(seen, state, begins, deterministic=greedy)
         return actions, state and tuple(np.swapaxes(part, 0, 1) for part in state)
 
-    network = _network_of(model)
+    network = _network_of(model, observation)
     if network:
         told = {"name": name, "observation": observation, "art": art}
         network = replace(network, mode="greedy" if greedy else "sampled", **told)
     return Function(choose, name, observation, art, remembers=True, network=network)
 
 
-def _network_of(model: Any) -> Network | None:
+def _network_of(model: Any, seen_as: Observation) -> Network | None:
     """Return the actor and critic of a Stable-Baselines3 model without memory, or None."""
     policies = sys.modules.get("stable_baselines3.common.policies")  # whose models come from there
     net: Any = getattr(model, "policy", None)
@@ -135,7 +135,7 @@ def _network_of(model: Any) -> Network | None:
         return None
     if not isinstance(space, Box) or not isinstance(actions, Discrete):
         return None
-    turned = len(space.shape) == 3 and space.shape[0] <= 4 < space.shape[2]
+    turned = seen_as == "image" and len(space.shape) == 3 and space.shape[0] <= 4 < space.shape[2]
     if turned:  # its wrappers put the colours of images first
         space = Box(0, 255, (*space.shape[1:], space.shape[0]), space.dtype.type)
 

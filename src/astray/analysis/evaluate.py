@@ -10,6 +10,7 @@ from astray import world
 from astray.acting import Levels, Policy, Reward, steps
 from astray.envs.steps import paid
 from astray.game import Game, Variant
+from astray.imports import guarded
 from astray.record import count_levels
 from astray.validation import of_kind, shown
 from astray.world import World, WorldVariant
@@ -110,7 +111,8 @@ def check_measures(measures: Mapping[str, Measure] | None, taken: Collection[str
 
 def measured(name: str, measure: Measure, states: np.ndarray) -> pl.Series:
     """Apply a measure to `states` [N]; raise ValueError unless it returns N values."""
-    values = measure(states)
+    with guarded(f"the measure {name!r}", ValueError, ImportError):
+        values = measure(states)
     if np.shape(values) != (len(states),):
         raise ValueError(
             f"the measure {name!r} must return {len(states)} values, one of each state; got "

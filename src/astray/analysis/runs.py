@@ -280,8 +280,9 @@ def rehearse(
 
     Torch's random state, from which policies may draw, stays unchanged.
     """
-    named = isinstance(levels, Mapping)
-    first: Any = dict(itertools.islice(levels.items(), 1)) if named else levels[:1]
+    first: Any = levels[:1] if isinstance(levels, Sequence | np.ndarray) else levels
+    if isinstance(levels, Mapping):
+        first = dict(itertools.islice(levels.items(), 1))
     with torch.random.fork_rng(devices=[]):
         for policy in policies:
             evaluate(policy, game, variant, first, longest=1, **how)
@@ -332,10 +333,8 @@ def play_all(
     how: Any = {"batch": batch, "measures": measures, "rewards": rewards}
     rehearse(policies, game, variant, levels, **how)
     parts = []
-    for its_name, policy in zip(called, players, strict=True):
-        run = seed = steps = None
-        if isinstance(policy, Agent | Loaded):
-            run, seed, steps = policy.origin
+    for (its_name, origin), policy in zip(each, players, strict=True):
+        run, seed, steps = origin or (None, None, None)
         parts.append(
             evaluate(policy, game, variant, levels, longest=longest, **how).with_columns(
                 policy=pl.lit(its_name),

