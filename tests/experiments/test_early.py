@@ -124,6 +124,7 @@ def test_a_sweep_over_a_network_that_sees_nothing_of_the_kind_is_refused_before_
     words = ("maze", "corner-small", "--set", "network=mlp,impala", "--folder", tmp_path / "swept")
     said = "impala cannot be trained: network 'impala' does not see symbolic planes"
     assert said in astray("sweep", *words, fails=True)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -43,11 +43,11 @@ def run_sweep(
     """
     check_free(folder, SWEPT, b'"axes"', (*report.WRITTEN, OUTCOMES, RATES))
     with hold(folder, "sweeps in"):
-        _note(sweep, folder)
         plans = sweep.plans()
         agents = {name: config for plan in plans.values() for name, config in plan.agents.items()}
         joined = replace(next(iter(plans.values())), agents=agents, tests={}, first_level=None)
         runs = train_agents(joined, folder, workers, on, track)
+        _note(sweep, folder)
         parts = [_episodes(sweep, folder, cell, plan, runs) for cell, plan in plans.items()]
         episodes = pl.concat(parts, how="diagonal_relaxed")
         write_table(episodes, folder / OUTCOMES)
