@@ -284,6 +284,15 @@ def test_a_level_that_was_not_exported_is_told_and_another_one_shown(chrome, sta
         assert "levels 0 to 7" in page.locator("[data-lab=problem]").text_content()
 
 
+def test_nothing_can_be_used_before_it_is_loaded(chrome, static):
+    context = chrome.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto(static)
+    assert page.locator("[data-lab=main]").get_attribute("inert") is not None
+    assert page.locator("[data-lab=lead]").text_content().startswith("Loading")
+    context.close()
+
+
 @pytest.mark.parametrize("way", ["served", "static"])
 def test_two_policies_are_compared_by_what_their_actions_do(chrome, request, way):
     with opened(chrome, request.getfixturevalue(way)) as (page, told):

@@ -30,7 +30,6 @@ export class Lab {
 
   async begin() {
     this.engine.status = (what) => this.panels.status(what);
-    this.part("main").inert = true;  // nothing is shown yet that could be used
     const about = await this.tried(() => this.engine.ask({ kind: "hello" }));
     if (!about) return;
     this.about = about;
@@ -42,7 +41,7 @@ export class Lab {
     this.panels.status("connected");
     await this.open(start.level ?? 0, start.wrong);
     globalThis.addEventListener("hashchange", () => this.follow());
-    this.part("main").inert = false;
+    this.part("main").inert = false; // before, nothing was shown that could be used
     this.panels.tour();
     this.ready = true;
   }

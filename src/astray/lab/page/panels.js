@@ -42,6 +42,7 @@ export class Panels {
     hear("previous", "click", () => this.#to(Math.max(this.#number() - 1, 0)));
     hear("next", "click", () => this.#to(this.#number() + 1));
     hear("theme", "click", () => this.#theme());
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.redraw());
     for (const name of ["undo", "redo", "restore", "step"]) {
       part(name === "step" ? "once" : name).addEventListener("click", () => lab[name]());
     }
