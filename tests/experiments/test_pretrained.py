@@ -96,6 +96,14 @@ def test_every_kept_agent_does_what_its_card_says(name):
         assert as_on_cards(outcomes, config) == row
 
 
+@pytest.mark.parametrize("name", folders.pretrained())
+def test_every_card_names_the_commands_that_train_such_an_agent_today(name):
+    config, card = open_run(folders.find(name))[1], (folders.find(name) / "README.md").read_text()
+    trained = [f"`astray train {config.game} {config.variant}` with the settings below"]
+    named = [f"`{command}`" for command in keep.commands(config)] or trained
+    assert f"\nTrained by {', or '.join(named)}.\n" in card
+
+
 def test_an_agent_is_kept_without_its_training(run, mouse):
     steps = f"{SHORT.steps}"
     assert {str(path.relative_to(mouse)) for path in mouse.rglob("*") if path.is_file()} == {
