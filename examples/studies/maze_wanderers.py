@@ -3,7 +3,7 @@
 In `anywhere-memory`, a maze has 3 to 31 cells a side, and a mouse sees 8 x 8 of them. All three
 wanderers take the shortest way to a cheese that is in view. Otherwise the first forgets everything
 and steps anywhere, the second does not turn back unless it must, and the third keeps a hand on the
-wall. A mouse that is trained there can be compared with them.
+wall. The mice of `astray reproduce maze-memory --size night` are tested in the same levels.
 
     python examples/studies/maze_wanderers.py
 """
@@ -12,11 +12,12 @@ import numpy as np
 
 from astray.analysis.estimates import Estimate, estimate_mean
 from astray.envs.beginnings import initial_states
+from astray.experiments import catalogue
+from astray.experiments.levels import levels_of
 from astray.games.maze.solve import steps_to
 from astray.kernel.grid import UNREACHABLE
 
 VARIANT = "anywhere-memory"
-LEVELS = range(200_000, 201_000)  # those that `astray evaluate` plays unless told otherwise
 STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))  # right, up, left, down: x to the right, y upward
 BACK = 2  # turns of a quarter
 
@@ -57,7 +58,7 @@ def reaches(state, wanderer, rng: np.random.Generator) -> bool:
     return False
 
 
-def rate(wanderer, levels: range = LEVELS, seed: int = 0) -> Estimate:
+def rate(wanderer, levels: range | np.ndarray, seed: int = 0) -> Estimate:
     """Estimate how often a wanderer reaches the cheese, with an interval over levels."""
     states = initial_states("maze", VARIANT, levels)
     rng = np.random.default_rng(seed)
@@ -65,7 +66,10 @@ def rate(wanderer, levels: range = LEVELS, seed: int = 0) -> Estimate:
 
 
 if __name__ == "__main__":
+    plan = catalogue.load("maze-memory").sizes["night"]
+    (test,) = plan.tests.values()
+    levels = levels_of(plan, test)
     for wanderer in (forgets, turns_back_last, keeps_to_the_wall):
-        found = rate(wanderer)
+        found = rate(wanderer, levels)
         told = f"{100 * found.mean:.1f} % ({100 * found.low:.1f} to {100 * found.high:.1f})"
         print(f"{wanderer.__name__.replace('_', ' ')}: {told}")
