@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.estimates import estimate_difference, estimate_mean
-from astray.analysis.outcomes import INTENDED, matrix
+from astray.analysis.outcomes import matrix
 from astray.experiments import outcomes
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.experiments.studies.field._agents import agent
@@ -12,7 +12,7 @@ from astray.report.claims import above, rounded
 from astray.report.findings import Findings
 
 NEEDED, NEEDLESS = "keys needed", "keys never needed"
-GEM = pl.col("outcome") == INTENDED
+GEM = pl.col("reached_gem").is_not_null()
 TAKES = pl.any_horizontal(pl.col("took_blue", "took_green", "took_red").is_not_null())
 OPENS = pl.any_horizontal(pl.col("opened_blue", "opened_green", "opened_red").is_not_null())
 MORE = 0.1  # rate of levels by which one kind takes keys more often
@@ -42,11 +42,11 @@ def find(work: Work) -> Findings:
         [
             above(
                 "In unseen levels of its training, with the gem behind doors, the thief takes it.",
-                "none", INTENDED, behind, outcomes.LEARNED,
+                "none", "takes the gem", behind, outcomes.LEARNED,
             ),
             above(
                 "Where the gem lies before the first door, it takes the gem, too.",
-                "none", INTENDED, before, outcomes.LEARNED,
+                "none", "takes the gem", before, outcomes.LEARNED,
             ),
             above(
                 "There it takes keys more often than a thief that never needed any.",
