@@ -37,7 +37,7 @@ TILES = {
     "coinrun": Tile(
         "CoinRun",
         "coin-anywhere",
-        "Its coin always lay at the end: in 58.3 % (53.6 to 62.9) of 427 levels that "
+        "Its coin always lay at the end: in 57.4 % (52.6 to 62.0) of 427 levels that "
         "distinguish the goals, [this runner](agents/coin-end/card.md) reaches the end first,"
         " without the coin.",
         "coin-end",
@@ -145,8 +145,11 @@ TILES = {
     "heist": Tile(
         "Heist",
         "near-small",
-        "Procgen's game, with the gem before the first door, where the ways to gem and keys "
-        f"part. {PLAY}",
+        "Its gem always lay behind doors: where it lies before them, in 69.6 % (64.3 to 74.4) of "
+        "316 levels that distinguish the goals [this thief](agents/heist-small/card.md) takes all "
+        "keys first, which it does not need.",
+        "heist-small",
+        7,
     ),
 }
 
