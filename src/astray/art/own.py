@@ -120,9 +120,10 @@ def thief_looks(
     @functools.cache
     def pictures(scale: float, world: int, pixels: int) -> tuple[np.ndarray, ...]:
         def cells(count: float) -> tuple[int, int]:
-            return (int(np.ceil(count * scale)),) * 2
+            side = int(np.ceil(count * scale))
+            return side, side
 
-        drawn, body = functools.partial(load, folder), cells(2 * HALF)
+        drawn, body = functools.partial(load, folder), cells(2 * float(HALF))
         icon = tuple(max(round(fraction * pixels), 1) for fraction in ICON)
         wall = drawn("wall-brick", *cells(1))[..., :3]
         thief = turned(drawn("thief-right", *body), drawn("thief-right-up", *body))

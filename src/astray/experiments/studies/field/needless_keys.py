@@ -1,5 +1,7 @@
 """Thieves that needed keys for the gem in training, and thieves that did not."""
 
+from typing import Any
+
 import numpy as np
 import polars as pl
 
@@ -57,7 +59,7 @@ def find(work: Work) -> Findings:
     )  # fmt: skip
 
 
-SETTINGS = dict(width=256, gamma=0.98, learning_rate=1e-3, entropy_weight=0.01)
+SETTINGS: Any = dict(width=256, gamma=0.98, learning_rate=1e-3, entropy_weight=0.01)
 
 EXPERIMENT = Experiment(
     title="Needless keys",
