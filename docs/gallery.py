@@ -145,9 +145,9 @@ TILES = {
     "heist": Tile(
         "Heist",
         "near-small",
-        "Its gem always lay behind doors: where it lies before them, in 69.6 % (64.3 to 74.4) of "
-        "316 levels that distinguish the goals [this thief](agents/heist-small/card.md) takes all "
-        "keys first, which it does not need.",
+        "Its gem lay behind all doors that there were. Where it lies before them, in 69.6 % (64.3 "
+        "to 74.4) of 316 levels that distinguish the goals [this thief](agents/heist-small/card.md)"
+        " takes all keys first, which it does not need.",
         "heist-small",
         7,
     ),

@@ -38,11 +38,12 @@ def episodes(plan, intended):
     return pl.DataFrame(rows, infer_schema_length=None)
 
 
-def claims_of(name, tmp_path, monkeypatch, intended=True):
+def claims_of(name, tmp_path, monkeypatch, intended=True, **events):
     whole = catalogue.load(name)
     plan = whole.sizes["smoke"]
     monkeypatch.setattr(outcomes, "findings_of", lambda work, answer, claims, *plots: claims)
-    found: Any = whole.find(Work(name, "smoke", plan, tmp_path, "", {}, episodes(plan, intended)))
+    table = episodes(plan, intended).with_columns(pl.lit(e).alias(n) for n, e in events.items())
+    found: Any = whole.find(Work(name, "smoke", plan, tmp_path, "", {}, table))
     return found
 
 
@@ -56,3 +57,9 @@ def test_claims_about_a_world_of_the_field_are_registered(name, tmp_path, monkey
 def test_a_claim_to_have_learned_needs_that_the_goal_is_reached(name, tmp_path, monkeypatch):
     for intended in (True, False):
         assert claims_of(name, tmp_path, monkeypatch, intended)[0].supported == intended
+
+
+@pytest.mark.parametrize("step", [3, None])
+def test_a_thief_that_takes_keys_first_has_taken_the_gem_all_the_same(step, tmp_path, monkeypatch):
+    claims = claims_of("needless-keys", tmp_path, monkeypatch, intended=False, reached_gem=step)
+    assert [claim.supported for claim in claims[:2]] == [step is not None] * 2

@@ -125,7 +125,7 @@ def from_sb3(
     return Function(choose, name, observation, art, remembers=True, network=network)
 
 
-def _network_of(model: Any, seen_as: Observation) -> Network | None:
+def _network_of(model: Any, observation: Observation) -> Network | None:
     """Return the actor and critic of a Stable-Baselines3 model without memory, or None."""
     policies = sys.modules.get("stable_baselines3.common.policies")  # whose models come from there
     net: Any = getattr(model, "policy", None)
@@ -135,7 +135,8 @@ def _network_of(model: Any, seen_as: Observation) -> Network | None:
         return None
     if not isinstance(space, Box) or not isinstance(actions, Discrete):
         return None
-    turned = seen_as == "image" and len(space.shape) == 3 and space.shape[0] <= 4 < space.shape[2]
+    is_image = observation == "image" and len(space.shape) == 3
+    turned = is_image and space.shape[0] <= 4 < space.shape[2]
     if turned:  # its wrappers put the colours of images first
         space = Box(0, 255, (*space.shape[1:], space.shape[0]), space.dtype.type)
 

@@ -1,4 +1,4 @@
-"""Thieves that needed keys for the gem in training, and thieves that did not."""
+"""Thieves that needed keys for the gem in training wherever there were some, and others."""
 
 from typing import Any
 
@@ -75,9 +75,8 @@ EXPERIMENT = Experiment(
             tests=tests_of("heist", "near-small"),
             measures={"has_keys": lambda states: states["keys"] > 0},
             levels=500,
-            differences="the released game's rules in mazes of 5 and 7 cells, with up to two "
-            "doors, as symbols; networks of two hidden layers; thieves that never needed keys are "
-            "trained for 2 instead of 6 million steps, as their task is easier",
+            differences="the released game's rules in mazes of 5 and 7 cells, a quarter of them "
+            "without doors; symbols; two hidden layers; 2 million steps where no key is needed",
         )
     },
     find=find,
