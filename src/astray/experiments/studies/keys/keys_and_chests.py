@@ -117,7 +117,8 @@ EXPERIMENT = Experiment(
         "smoke": plan(
             replace(PRESETS["small"], validation_every=4),
             "many-keys-small",
-            seeds=3,
+            seeds=10,
+            first_seed=20,
             differences=f"{SMALL_MAZES}; seen as symbols with the thief in the middle, instead of "
             "a picture; 200 steps an episode instead of 1000; a network of two hidden layers, a "
             "discount of 0.98 instead of 0.999, and 5.5 million steps instead of 200 million",

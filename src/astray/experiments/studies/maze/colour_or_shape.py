@@ -241,7 +241,8 @@ EXPERIMENT = Experiment(
             # Half as many steps leave it at 78 % of unseen levels.
             replace(PRESETS["small"], steps=11_000_000),
             shift="colour-or-shape-small",
-            seeds=2,
+            seeds=10,
+            first_seed=20,
             differences="worlds of 7 cells instead of 25, seen as symbols instead of a picture, so "
             "that colours and shapes are codes; a mouse that starts anywhere and has 100 steps "
             "instead of 500; a network of two hidden layers, and 11 million steps instead of 200 "

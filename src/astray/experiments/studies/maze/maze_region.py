@@ -177,7 +177,8 @@ EXPERIMENT = Experiment(
         "smoke": Plan(
             # An even side adds no junctions, only passages.
             agents=sweep(maze_corner.SYMBOLS, (3, 5, 7), knobs=dict(SMALL)),
-            seeds=2,
+            seeds=10,
+            first_seed=20,
             tests=SMALL_TEST,
             levels=1000,
             differences="regions of 1, 3, 5 and 7 cells, in worlds of 7 instead of 25, seen as "

@@ -154,6 +154,7 @@ def collected(size: Size) -> Plan:
     return Plan(
         agents={name: plan.config for name, plan in firsts.items()},
         seeds=min(plan.seeds for plan in firsts.values()),
+        first_seed=max(plan.first_seed for plan in firsts.values()),
         levels=1,  # there are no tests
         # Of all that are trained in turn, the slowest.
         speed=min(plan.speed for plan in firsts.values()),
