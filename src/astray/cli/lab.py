@@ -60,14 +60,16 @@ def lab(
     if level.level_file is not None:
         start["level"] = read(level.level_file, 2**20).decode()
     if export is not None:
-        check_empty(export)
-    made = make_lab(shown, start)
-    if export is not None:
+        from astray.lab.export import check_exportable
         from astray.lab.export import export as write
 
-        write(made, export, exported)
+        check_empty(export)
+        check_exportable(
+            make_lab(shown, start | {"level": 0}), None, {}
+        )  # before a level is looked for
+        write(make_lab(shown, start), export, exported)
         print(f"{export / 'index.html'}")
         return
     from astray.lab.server import serve
 
-    serve(made, port, browser)
+    serve(make_lab(shown, start), port, browser)

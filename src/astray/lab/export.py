@@ -63,9 +63,7 @@ def export(
     folder = Path(folder)
     bounded("levels", levels, 1, 10_000)
     is_there = check_empty(folder)
-    chosen = agents if agents is not None else _chosen(lab)
-    further = games or {}
-    _check_exportable(lab, chosen, further)
+    chosen = check_exportable(lab, agents, further := games or {})
     with folder_aside(folder) as aside:
         _write_page(aside)
         _write_data(lab, aside / "data", levels, chosen, further)
@@ -74,9 +72,11 @@ def export(
         aside.rename(folder)
 
 
-def _check_exportable(lab: Lab, agents: Sequence[str], further: Mapping[str, str]) -> None:
-    """Raise ValueError where the page could not play a game or show an agent without Python."""
-    opened = {name: lab.agents.open(name) for name in agents}
+def check_exportable(
+    lab: Lab, agents: Sequence[str] | None, further: Mapping[str, str]
+) -> list[str]:
+    """Return the agents to export; raise ValueError if one of them, or a game, needs Python."""
+    opened = {name: lab.agents.open(name) for name in (_chosen(lab) if agents is None else agents)}
     for game in dict.fromkeys(
         (lab.start["game"], *further, *(config.game for _, config in opened.values()))
     ):
@@ -94,6 +94,7 @@ def _check_exportable(lab: Lab, agents: Sequence[str], further: Mapping[str, str
                 f"the agent {name!r} sees images of {config.game}, where things move by "
                 "themselves: there is no table of all that it may see"
             )
+    return [*opened]
 
 
 def _chosen(lab: Lab) -> list[str]:
