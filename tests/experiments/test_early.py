@@ -193,13 +193,15 @@ def test_a_lab_that_cannot_be_exported_is_refused_before_anything_is_computed(
         exporting.export(make_lab(None, {}), tmp_path / "site", games={"heist": "far"})
 
 
-def test_a_lab_is_exported_to_no_folder_with_files_before_a_level_is_looked_for(
+def test_a_lab_that_cannot_be_exported_is_refused_before_a_level_is_looked_for(
     astray, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(serving, "first_distinguishing", lambda *_, **__: pytest.fail("it looks"))
     (tmp_path / "mine").write_text("of the user's")
     said = f"{tmp_path} must be new, or an empty folder; there is something in it"
     assert said in astray("lab", "maze-corner", "--export", tmp_path, fails=True)
+    words = ("lab", "coin-end-pixels", "--export", tmp_path / "site")
+    assert "'coin-end-pixels' sees images of coinrun, where things" in astray(*words, fails=True)
 
 
 @pytest.mark.parametrize("words", [("audit", "maze-corner"), ("reproduce", "maze-corner")])
@@ -222,6 +224,7 @@ def test_a_game_without_an_agent_is_exported_with_the_variant_that_is_named(tmp_
     [
         (("--layers", "features.nope"), "unknown layer 'features.nope'; there are: "),
         (("--out", "file"), "file must be a folder; it is a file"),
+        (("--out", "mine"), "mine/without-goal.png was not written by astray, which would have"),
     ],
 )
 def test_an_explanation_that_cannot_be_is_refused_before_a_level_is_looked_for(
@@ -229,6 +232,8 @@ def test_an_explanation_that_cannot_be_is_refused_before_a_level_is_looked_for(
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("in the way")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "without-goal.png").write_text("of the user's")
     monkeypatch.setattr(GameVectorEnv, "reset", lambda *_, **__: pytest.fail("it was played"))
     assert said in astray("explain", "maze-corner", *words, fails=True)
 

@@ -141,6 +141,8 @@ def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monke
     goals = pl.read_parquet(tmp_path / "goals.parquet")
     assert goals["posterior"].sum() == pytest.approx(1)
     assert (tmp_path / "field.svg").exists()
+    names = {path.name for path in tmp_path.iterdir()} - {"explain.html"}
+    assert "without-goal.svg" in names < {*explain.written(games.find("maze"))}
 
 
 def test_what_a_game_does_not_have_is_told_in_its_place(astray, tmp_path):

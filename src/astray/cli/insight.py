@@ -41,7 +41,7 @@ def explain(
     from astray.analysis.runs import rehearse
     from astray.analysis.trained import Agent, looked_into
     from astray.insight.activations import check_layers
-    from astray.insight.explain import PAGE, SIGN, Asked, default_layers
+    from astray.insight.explain import PAGE, SIGN, Asked, default_layers, written
     from astray.insight.explain import explain as write
     from astray.lab.goals import first_distinguishing
     from astray.level import Level
@@ -54,7 +54,7 @@ def explain(
     reads = tuple(layers.split(",")) if layers else default_layers(agent)
     if reads:
         check_layers(agent, reads)  # pyright: ignore[reportArgumentType]
-    check_free(out, PAGE, SIGN, ())
+    check_free(out, PAGE, SIGN, written(game))
     check_writable(out / PAGE)
     rehearse([policy], game, levels, [0])
     unseen = config.unseen_levels if config else range(MOST_LEVELS + 2)

@@ -21,8 +21,8 @@ from astray.analysis.trained import Model, Opaque, check_network
 from astray.envs.pictures import picture
 from astray.figures.grids import Picture, images
 from astray.figures.style import save
-from astray.files import files_aside
-from astray.game import Shift, Variant
+from astray.files import check_free, files_aside
+from astray.game import Game, Shift, Variant
 from astray.insight import attribution, episode, field_figures, probes
 from astray.insight.activations import layers
 from astray.insight.fields import cell_of, difference, fields
@@ -74,6 +74,14 @@ class Asked:
         return self.between.intended if thing == "goal" else thing
 
 
+def written(game: Game) -> list[str]:
+    """Return the names of all files that `explain` may write for a game, except the page."""
+    objects = game.editing.OBJECTS if game.editing else ()
+    names = [f"{what}-{slug(name)}" for what in ("without", "moved") for name in objects]
+    names += ["field", "paths", "attribution", "probes", "goals", "episode"]
+    return [f"{name}.{ending}" for name in names for ending in ("png", "svg", "parquet")]
+
+
 def explain(asked: Asked, folder: Path, heading: str, progress: bool = False) -> Path:
     """Write the page, its figures (PNG and SVG) and tables (Parquet); return the page's path.
 
@@ -93,6 +101,7 @@ def explain(asked: Asked, folder: Path, heading: str, progress: bool = False) ->
         "What it is after": _goals,
         "Its episode": _episode,
     }
+    check_free(folder, PAGE, SIGN, written(asked.level.game))
     parts: list[Section] = []
     for number, (title, make) in enumerate(makers.items(), 1):
         if progress:
@@ -162,13 +171,10 @@ def slug(name: str) -> str:
 
 
 def _part(
-    name: str, heading: str, text: str, figure: Figure | None, table: pl.DataFrame | None = None
+    name: str, heading: str, text: str, figure: Figure, table: pl.DataFrame | None = None
 ) -> Section:
-    """Return a section with a figure and its numbers, or with a table."""
-    if figure is not None:
-        return Section(heading, [Plot(name, text, figure, table)])
-    assert table is not None
-    return Section(heading, [Table(name, text, table)])
+    """Return a section with a figure and its numbers."""
+    return Section(heading, [Plot(name, text, figure, table)])
 
 
 def _fields(asked: Asked) -> list[Section]:
@@ -333,17 +339,11 @@ def _goals(asked: Asked) -> list[Section]:
             "posterior": [float(row[f"p {name}"]) for name in found.explanations],
         }
     )
-    return [
-        _part(
-            "goals",
-            "What it is after",
-            "The posterior over what its episode here is explained by: a goal with a name, "
-            "another cell, or no goal at all (a device). One episode says little; `astray "
-            "agency` weighs many.",
-            None,
-            table,
-        )
-    ]
+    caption = (
+        "The posterior over what its episode here is explained by: a goal with a name, another "
+        "cell, or no goal at all (a device). One episode says little; `astray agency` weighs many."
+    )
+    return [Section("What it is after", [Table("goals", caption, table)])]
 
 
 def _episode(asked: Asked) -> list[Section]:
