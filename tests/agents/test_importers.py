@@ -184,6 +184,8 @@ def other(module, *path, weights):
         (cleanba((2, 2, 2), actions=9)[0], "chooses from 9 actions"),
         (other("1", "Dense_0", "bias", weights=np.float32(1)), "chooses from 0 actions"),
         (other("1", "Dense_0", "bias", weights=np.full(15, 1e300)), "not all finite"),
+        *((other("0", "Dense_0", "kernel", weights=np.zeros(shape, "f4")), "not all fin|it would")
+          for shape in ((0, 256), (64, 0), (0, 0))),
         (other("0", "ConvSequence_0", "Conv_0", "kernel", weights=np.empty((0, 3, 3, 2**33), "f4")),
          "fits no network"),
         (b"\x82\xa10\x80\xa11\x83\xa10\x81\xa6params" + b"\x81\xa1a" * 1000
@@ -337,6 +339,10 @@ REFUSED_JD = {
     ),
     "no word": (lambda: joblib_bytes(clarity(cnn=np.zeros(3))[0]), "its network is array"),
     "no dimension": (lambda: wrong("pi/b", ()), "chooses from 0 actions"),
+    "no inputs": (lambda: wrong("pi/dense/kernel", (0, 256)), r"is \(256, 0\); it would be"),
+    "no outputs": (lambda: wrong("pi/dense/kernel", (512, 0)), r"is \(0, 512\); it would be"),
+    "nothing": (lambda: wrong("pi/dense/kernel", (0, 0)), r"is \(0, 0\); it would be"),
+    "no channels": (lambda: wrong("pi/2a/conv2d/kernel", (3, 3, 0, 64)), r"is \(64, 0, 3, 3\); it"),
 }  # fmt: skip
 
 

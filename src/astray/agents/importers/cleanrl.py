@@ -127,8 +127,9 @@ def _dense(kernel: np.ndarray, module: str) -> np.ndarray:
             f"the kernel of a dense layer must be [inputs, outputs]; got {kernel.shape}"
         )
     if module == "0" and len(kernel) % 64 == 0:  # after three halvings, a picture is 8 x 8
-        kernel = kernel.reshape(8, 8, -1, kernel.shape[1]).transpose(2, 0, 1, 3)
-    return kernel.reshape(-1, kernel.shape[-1]).T
+        pixels = kernel.reshape(8, 8, len(kernel) // 64, kernel.shape[1])
+        kernel = pixels.transpose(2, 0, 1, 3).reshape(kernel.shape)
+    return kernel.T
 
 
 def _world(name: Any) -> tuple[str, str] | None:

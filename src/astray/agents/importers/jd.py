@@ -96,6 +96,6 @@ def _turned(layer: str, kernel: np.ndarray) -> np.ndarray:
         # It sees rows, columns, channels; ours channels first. Of a picture 4 x 4 x 32.
         side = round((len(kernel) // channels) ** 0.5)
         if side * side * channels == len(kernel):
-            pixels = kernel.reshape(side, side, channels, -1)
-            kernel = pixels.transpose(2, 0, 1, 3).reshape(len(kernel), -1)
+            pixels = kernel.reshape(side, side, channels, kernel.shape[1])
+            kernel = pixels.transpose(2, 0, 1, 3).reshape(kernel.shape)
     return np.ascontiguousarray(kernel.T)
