@@ -1,6 +1,8 @@
 """What is not astray's is never removed, whatever it is called and wherever it is."""
 
 import os
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -110,6 +112,31 @@ def test_files_of_a_page_come_all_or_none(tmp_path, full_disk):
         write_aside(aside / "figures" / "one.png", b"one")
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == there
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "page"]
+
+
+def test_what_a_killed_process_left_of_a_page_is_removed_by_the_next(tmp_path):
+    killed = """
+import os, sys
+from pathlib import Path
+from astray.files import files_aside, write_aside
+with files_aside(Path(sys.argv[1]), "page.html", b"by astray") as aside:
+    write_aside(aside / "figures" / "one.png", b"one")
+    os.kill(os.getpid(), 9)
+"""
+    mine = [tmp_path / f".page.html.{name}" for name in ("mine", "0" * 32)]
+    for path in mine:
+        path.mkdir()
+        (path / "thesis.tex").write_text("of the user's")
+    subprocess.run([sys.executable, "-c", killed, tmp_path])
+    left = {path.name for path in tmp_path.iterdir()}
+    assert len(left) == 3
+    with files_aside(tmp_path, "page.html", b"by astray") as aside:
+        write_aside(aside / "page.html", b"by astray")
+        with files_aside(tmp_path, "page.html", b"by astray") as other:
+            write_aside(other / "page.html", b"by astray, sooner")
+        assert (aside / "page.html").exists()
+    assert {path.name for path in tmp_path.iterdir()} == {*(one.name for one in mine), "page.html"}
+    assert all((path / "thesis.tex").exists() for path in mine)
 
 
 def test_a_disk_without_room_for_a_result_is_told_before_the_work(tmp_path, full_disk):

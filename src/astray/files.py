@@ -145,13 +145,20 @@ def folder_aside(path: Path, told: Path | None = None) -> Iterator[Path]:
 def files_aside(folder: Path, mark: str, sign: bytes) -> Iterator[Path]:
     """Yield a new folder, whose files get to `folder` on success, and on failure none of them.
 
+    Those that killed processes left, whose locks are free, are removed.
+
     Raises:
         OSError: As `check_free` does, for the names of the files.
     """
-    with folder_aside(folder / mark, folder) as aside:
+    for lock in folder.glob(f".{mark}.*/{LOCK}"):
+        if ASIDE.fullmatch(lock.parent.name) and not lock.parent.is_symlink():
+            with contextlib.suppress(Timeout), hold(lock.parent, "writes", wait=False):
+                shutil.rmtree(lock.parent, ignore_errors=True)
+    with folder_aside(folder / mark, folder) as aside, hold(aside, "writes"):
         yield aside
-        check_free(folder, mark, sign, os.listdir(aside))
-        files = [path.relative_to(aside) for path in aside.rglob("*") if path.is_file()]
+        check_free(folder, mark, sign, {*os.listdir(aside)} - {LOCK})
+        there = (path for path in aside.rglob("*") if path.is_file())
+        files = [path.relative_to(aside) for path in there if path != aside / LOCK]
         for name in files:
             _check_replaceable(folder / name)
         for name in sorted(files, key=lambda name: name != Path(mark)):  # whose files these are
