@@ -93,6 +93,46 @@ def test_the_network_of_a_model_sees_planes_as_the_model_does():
     assert values.shape == (2,)
 
 
+class Shown(Room):
+    """The room as an image of 64 x 64, with its colours first or last."""
+
+    def __init__(self, first):
+        super().__init__("anywhere")
+        self.shape = (3, 64, 64) if first else (64, 64, 3)
+        self.observation_space = Box(0, 255, self.shape, np.uint8)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_the_network_of_a_model_sees_images_as_the_model_does(first, tmp_path):
+    sb3 = pytest.importorskip("stable_baselines3")
+    model = sb3.PPO("MlpPolicy", Shown(first), n_steps=8, batch_size=8, device="cpu", seed=2)
+    model.save(tmp_path / "model.zip")
+    loaded = sb3.PPO.load(tmp_path / "model.zip", env=Shown(first), device="cpu")
+    seen = np.random.default_rng(0).integers(0, 255, (64, *Shown(first).shape), np.uint8)
+    theirs = model.policy.get_distribution(model.policy.obs_to_tensor(seen)[0]).distribution.logits
+    for one in (model, loaded):
+        assert torch.allclose(from_sb3(one).network.outputs(seen)[0], theirs, atol=1e-6)
+    alone = from_sb3(sb3.PPO.load(tmp_path / "model.zip", device="cpu")).network
+    if first:  # images of games have their colours last
+        with pytest.raises(ValueError, match=r"sees observations of shape \(64, 64, 3\), not"):
+            alone.outputs(seen)
+    else:
+        assert torch.allclose(alone.outputs(seen)[0], theirs, atol=1e-6)
+
+
+def test_a_model_of_normalized_observations_acts_on_those():
+    sb3 = pytest.importorskip("stable_baselines3")
+    vectors = sb3.common.vec_env
+    env = vectors.VecNormalize(vectors.DummyVecEnv([partial(Room, "anywhere")]))
+    model = sb3.PPO("MlpPolicy", env, n_steps=64, batch_size=64, seed=1, device="cpu").learn(512)
+    seen = np.random.default_rng(0).normal(size=(200, *env.observation_space.shape))
+    hand = model.predict(env.normalize_obs(seen), deterministic=True)[0].tolist()
+    assert hand != model.predict(seen, deterministic=True)[0].tolist()
+    policy = from_sb3(model, greedy=True)
+    assert policy.choose(seen, None, np.ones(200, bool))[0].tolist() == hand
+    assert policy.network is None
+
+
 def actor_of_torchrl(recurrent, one_hot):
     modules = pytest.importorskip("torchrl.modules")
     from tensordict.nn import ProbabilisticTensorDictModule, TensorDictModule

@@ -107,18 +107,21 @@ def from_sb3(
 
     A recurrent model, as in sb3-contrib, begins every episode with empty memory. An actor and
     critic without memory, as of PPO and A2C, has a `network`, into which the lab and insight look.
+    Both depend on the wrappers of its environment: give `load` the `env`, VecNormalize included.
 
     Args:
         greedy: Take its most likely action instead.
     """
+    scaler: Any = getattr(model, "get_vec_normalize_env", lambda: None)()
 
     def choose(seen: Any, memory: Any, begins: np.ndarray) -> tuple[np.ndarray, Any]:
+        seen = scaler.normalize_obs(seen) if scaler else seen
         # Its memory is [layers, N, ...]; rows of episodes are [N, layers, ...].
         state = None if memory is None else tuple(np.swapaxes(part, 0, 1) for part in memory)
         actions, state = model.predict(seen, state, begins, deterministic=greedy)
         return actions, state and tuple(np.swapaxes(part, 0, 1) for part in state)
 
-    network = _network_of(model, observation)
+    network = None if scaler and scaler.norm_obs else _network_of(model, observation)
     if network:
         told = {"name": name, "observation": observation, "art": art}
         network = replace(network, mode="greedy" if greedy else "sampled", **told)
@@ -135,8 +138,10 @@ def _network_of(model: Any, observation: Observation) -> Network | None:
         return None
     if not isinstance(space, Box) or not isinstance(actions, Discrete):
         return None
-    is_image = observation == "image" and len(space.shape) == 3
-    turned = is_image and space.shape[0] <= 4 < space.shape[2]
+    vectors, env = sys.modules["stable_baselines3.common.vec_env"], getattr(model, "env", None)
+    turned = observation == "image" and space.shape == (3, 64, 64)  # as of a game here
+    if env is not None:
+        turned = vectors.is_vecenv_wrapped(env, vectors.VecTransposeImage)
     if turned:  # its wrappers put the colours of images first
         space = Box(0, 255, (*space.shape[1:], space.shape[0]), space.dtype.type)
 
