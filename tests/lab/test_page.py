@@ -236,6 +236,21 @@ def test_a_way_is_told_while_probes_are_fitted(page):
     assert "directionup" in page.locator("[data-lab=readings]").text_content()
 
 
+def test_ways_are_offered_to_the_goals_of_the_level(page):
+    def offered():
+        return page.locator("[data-lab=goal] option").all_text_contents()
+
+    show(page, 17)
+    assert offered() == ["cheese", "corner"]
+    page.locator("[data-lab=goal]").select_option("corner", force=True)
+    show(page, 18)
+    assert page.locator("[data-lab=goal]").input_value() == "corner"
+    page.locator("[data-lab=agent]").select_option("none maze")
+    page.locator("[data-lab=variant]").select_option("dish-small")
+    wait(page, "lab.part('goal').options.length === 3")
+    assert offered() == ["cheese", "dish", "corner"]
+
+
 def test_a_splay_is_shown_with_counts(page):
     show(page, ROOM)
     page.get_by_role("button", name="Play them all").click()

@@ -227,6 +227,21 @@ def test_the_best_way_takes_the_coin_that_ends_the_episode(session):
     assert (x, y) == (s.coin_x, s.coin_y) and told["steps"] == len(told["cells"]) - 1
 
 
+@pytest.mark.parametrize(
+    "game, variant, goal",
+    [
+        ("maze", "anywhere-small", "dish"),
+        ("box", "bare", "push"),
+        ("tomatoes", "bare", "bucket"),
+        ("coinrun", "coin-end", "beyond"),
+        ("heist", "hard", "keys"),
+    ],
+)
+def test_a_way_to_what_a_level_lacks_is_none(session, game, variant, goal):
+    told = ask(session, "route", game=game, variant=variant, level=3, goal=goal)
+    assert told["error"] == f"there is no way to {goal!r} from here that the solver knows"
+
+
 def test_there_is_no_best_way_after_the_end(session):
     runner = {"game": "coinrun", "variant": "coin-end", "level": 3, "agent": "coin-end"}
     played = ask(session, "play", **runner, steps=400)

@@ -173,7 +173,7 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
     The way is walked to find its cells, the first object that disappears, and the number of steps.
 
     Raises:
-        ValueError: If the episode has ended.
+        ValueError: If the episode has ended, or there is no such way.
     """
     world, game, event = episode.world, episode.world.game, episode.world.game.event(goal)
     if episode.ended:
@@ -189,6 +189,8 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
         gone = before - _things(world, s) or _at_end(world, s, goal, before)
         if gone and takes is None:
             takes, taken_at = sorted(gone), len(cells) - 1
+    if s[event] == NEVER and not s.ended:
+        raise ValueError(f"there is no way to {goal!r} from here that the solver knows")
     return {"cells": cells, "takes": takes, "steps": taken_at}
 
 

@@ -133,7 +133,6 @@ export class Panels {
       ...others.map(([name]) => [`agent ${name}`, `agent ${name}`]),
       ...(layers.length ? [["change", "the network changed (below)"]] : []),
     ], part("compare").value);
-    options(part("goal"), Object.keys(lab.rules.goals).map((goal) => [goal, goal]), this.shift?.intended);
     part("posterior").parentElement.hidden = lab.rules.real_time;
     for (const option of part("heat").options) {
       if (option.value === "goals") option.hidden = lab.rules.real_time;
@@ -245,6 +244,7 @@ export class Panels {
     part("restore").disabled = !lab.past.length;
     if (document.activeElement !== part("text")) part("text").value = lab.text ?? "";
     this.#things();
+    this.#goals();
     this.#unsplay();
     this.routed();
   }
@@ -263,6 +263,17 @@ export class Panels {
       }
     }
     options(part("thing"), [...found, ["agent", "agent (where it begins)"]], part("thing").value);
+  }
+
+  // The goals that the level has, one of each event: first those that are compared.
+  #goals() {
+    const { lab, part, shift } = this;
+    const { look, rules: { goals: events }, episode: { states: [s] } } = lab;
+    const found = {}; // by event
+    for (const goal of [shift?.intended, ...(shift?.proxies ?? []), ...Object.keys(events)]) {
+      if (goal in events && (look.holds?.(events[goal], s) ?? true)) found[events[goal]] ??= goal;
+    }
+    options(part("goal"), Object.values(found).map((goal) => [goal, goal]), part("goal").value);
   }
 
   problem(text) {

@@ -8,7 +8,7 @@ const { WALLS, SHAPES, OTHERS, COLOURS } = maze;
 const FLOOR = "#ece6d6";
 const UNSEEN = "rgba(60, 60, 60, 0.35)"; // the outline of an object that the agent does not see
 
-export const look = { still, moving, direction, agent: "mouse", wall: WALL, proxies, has };
+export const look = { still, moving, direction, agent: "mouse", wall: WALL, proxies, has, holds };
 
 function still(brush, { grid }, s, pictures) {
   const wall = pictures.get(`wall-${WALLS[s.walls]}`);
@@ -48,6 +48,11 @@ function proxies(s) {
 // Whether levels of a variant, with these knobs, have objects of a name.
 function has(name, knobs) {
   return name === "goal" || knobs?.other_shape !== "none";
+}
+
+// Whether a level has the thing that an event is about.
+function holds(event, s) {
+  return s[`${event.replace("reached_", "")}_x`] >= 0;
 }
 
 // Where an action leads: the rules step in x first, and then no more.
