@@ -1,5 +1,7 @@
 """Vectors between sets of states, and what steering by them does, beside the same by hand."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from astray.insight.interventions import steer
 from astray.insight.vectors import (
     Condition,
     Vectors,
-    corner_vectors,
+    edit_vectors,
     effects,
     object_vectors,
     pair_vectors,
@@ -49,19 +51,18 @@ def test_a_cheese_vector_is_with_less_without(mouse, cheese):
     assert cheese.mean == pytest.approx(expected.mean(0))
 
 
-def test_a_corner_vector_is_with_the_corner_open_less_walled_up(mouse):
-    s = initial_states("maze", SMALL, [200_003])[0]
-    level = Level.of(MAZE, SMALL, s)
-    x, y = cell_of(level, "corner")  # pyright: ignore
-    cells = {char: level.cells.copy() for char in ".#"}
-    for char, made in cells.items():
-        made[y, x] = MAZE.editing.LEGEND[char]
-    states = [
-        Level(MAZE, SMALL, c, level.agent, level.looks).state(solvable=False)
-        for c in cells.values()
-    ]
+def test_a_vector_between_two_edits_is_with_the_corner_open_less_walled_up(mouse):
+    def filled(char, level):
+        (x, y), cells = cell_of(level, "corner"), level.cells.copy()
+        cells[y, x] = MAZE.editing.LEGEND[char]
+        return Level(MAZE, SMALL, cells, level.agent, level.looks)
+
+    closed, opened = (partial(filled, char) for char in "#.")
+    level = Level.of(MAZE, SMALL, initial_states("maze", SMALL, [200_003])[0])
+    states = [edit(level).state(solvable=False) for edit in (opened, closed)]
     one, other = given(mouse, np.array(states, MAZE.state))
-    assert (corner_vectors(mouse, SMALL, [200_003], LAYER).each[0] == one - other).all()
+    found = edit_vectors(mouse, SMALL, [200_003], LAYER, closed, opened)
+    assert (found.each[0] == one - other).all()
 
 
 def test_the_vector_between_two_sets_is_that_of_their_means(mouse):

@@ -118,31 +118,6 @@ def object_vectors(
     return edit_vectors(agent, variant, levels, layer, lambda level: level.removed(name))
 
 
-def corner_vectors(
-    agent: Model, variant: str | Variant, levels: Levels, layer: str, goal: str = "corner"
-) -> Vectors:
-    """Return activation differences at the beginning: the goal's cell open minus walled up.
-
-    An object in that cell is removed in both.
-
-    Raises:
-        ValueError: If a level has no cell of that goal, or begins in it.
-    """
-
-    def filled(char: str, level: Level) -> Level:
-        cell, legend = cell_of(level, goal), level.game.editing.LEGEND
-        if cell is None or cell == level.agent:
-            raise ValueError(f"a level must have a cell of the goal {goal!r}, and not begin in it")
-        if char not in legend:
-            raise ValueError(f"{level.game.name} has no {char!r} in its legend")
-        cells = level.cells.copy()
-        cells[cell[1], cell[0]] = legend[char]
-        return Level(level.game, level.variant, cells, level.agent, level.looks)
-
-    closed, opened = (functools.partial(filled, char) for char in "#.")
-    return edit_vectors(agent, variant, levels, layer, closed, opened)
-
-
 def edit_vectors(
     agent: Model,
     variant: str | Variant,

@@ -179,7 +179,7 @@ def check_sizes(variant: Any, least: int, largest: int) -> None:
     """Check a variant's world, mazes, window and floor.
 
     Raises:
-        ValueError: If one of these sizes is out of range.
+        ValueError: If one of these is out of range, or unlike in levels that are shifted.
     """
     p, sizes = variant, (variant.smallest, variant.largest)
     if not least <= p.world <= largest:
@@ -196,6 +196,8 @@ def check_sizes(variant: Any, least: int, largest: int) -> None:
             f"background must be from 0 to {FLOORS - 1}, or {AS_NUMBERED} for what the "
             f"level's number decides; got {p.background}"
         )
+    if p.shift_probability and (p.world, p.window) != (p.shifted.world, p.shifted.window):
+        raise ValueError("the shifted variant has another world or window: it looks different")
 
 
 def cell_pixels(variant: Any, pixels: int) -> float:

@@ -47,11 +47,6 @@ class Keys(Variant):
         for name in ("key_penalty", "step_penalty"):
             if not abs(getattr(self, name)) <= 1e6:
                 raise ValueError(f"{name} must be from -1e6 to 1e6; got {getattr(self, name)}")
-        if isinstance(self.shifted, Keys) and (self.world, self.window) != (
-            self.shifted.world,
-            self.shifted.window,
-        ):
-            raise ValueError("the shifted variant has another world or window: it looks different")
 
     def _check_counts(self) -> None:
         if self.keys < 1 or self.chests < 1:

@@ -105,7 +105,7 @@ def test_the_last_step_of_an_episode_truncates_it():
         ({"window": 99}, "from 0 to 26"),
         ({"gem": "middle"}, "unknown gem 'middle'; there are: last, first"),
         ({"background": 9}, "from 0 to 8"),
-        ({"shifted": SEVEN}, "another world or window"),
+        ({"shifted": SEVEN, "shift_probability": 0.1}, "another world or window"),
     ],
 )
 def test_bad_knobs_are_explained(knobs, message):

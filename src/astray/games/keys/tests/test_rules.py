@@ -230,7 +230,7 @@ def test_steps_at_the_inventory_are_counted_while_a_key_is_in_hand(inventory, ce
         ({"inventory": "middle"}, "unknown inventory 'middle'; there are: upper-right"),
         ({"window": 99}, "from 0 to 26"),
         ({"background": 9}, "from 0 to 8"),
-        ({"shifted": SEVEN}, "another world or window"),
+        ({"shifted": SEVEN, "shift_probability": 0.1}, "another world or window"),
     ],
 )
 def test_bad_knobs_are_explained(knobs, message):
