@@ -6,9 +6,13 @@ from pathlib import Path
 import pytest
 
 from astray.experiments import catalogue, run
+from astray.experiments.spec import Plan, name_of_run
 from astray.experiments.workers import expected
 from astray.training.config import Config
+from astray.training.folders import AgentFolder
 from astray.training.levels import Growing
+from astray.training.teacher import TEACHER
+from helpers.trainings import TINY
 
 NAMES = [name for name in catalogue.NAMES if {"night", "paper"} <= {*catalogue.load(name).sizes}]
 PURE = 10_000_000  # steps of rewards alone in the variant's own levels, at least
@@ -63,11 +67,36 @@ def test_the_levels_of_a_night_have_grown_when_its_rewards_alone_teach():
 @pytest.mark.parametrize("name", NAMES)
 def test_how_long_a_night_takes_can_be_told(name, tmp_path):
     night = plans(name)[0]
-    configs = [c for some in night.trainings().values() for c in some]
+    trainings = night.trainings()
+    configs = [c for name in night.agents for c in trainings[name]]
     told = expected({run.run_folder(tmp_path, c): c for c in configs}, night.speed, 2)
     hours = sum(c.steps for c in configs) / night.speed / 2 / 3600
     assert f"{len(configs)} agents, 0 of them trained" in told
     assert f"about {max(hours, configs[0].steps / night.speed / 3600):.1f} hours with 2" in told
+
+
+def test_agents_that_only_teach_are_trained_first_and_are_in_no_table(tmp_path):
+    pupil = replace(TINY, levels=300, teacher="of the same seed", taught=0.5)
+    teaching = replace(TINY, levels=300, width=8)
+    plan = Plan(
+        agents={"pupil": pupil}, teachers={"pupil": teaching}, seeds=2, levels=1, differences=""
+    )
+    runs = run.train_agents(plan, tmp_path, 1, "here")
+    assert [*runs] == ["pupil"]
+    for seed, folder in enumerate(runs["pupil"]):
+        teacher = AgentFolder.open(run.run_folder(tmp_path, replace(teaching, seed=seed)))
+        assert (folder / TEACHER).read_bytes() == teacher.weights.read_bytes()
+        assert "update/kl" in (folder / "metrics.jsonl").read_text()
+
+
+def test_the_runners_of_a_night_have_teachers_of_their_coins_and_seeds():
+    trainings = catalogue.load("coin-diversity").sizes["night"].trainings()
+    pupils = {name: made for name, made in trainings.items() if made[0].teacher}
+    assert len(pupils) == 3
+    for name, made in pupils.items():
+        for pupil, teacher in zip(made, trainings[f"teacher of {name}"], strict=True):
+            assert (teacher.seed, teacher.knobs) == (pupil.seed, pupil.knobs)
+            assert pupil.teacher == name_of_run(teacher) and teacher.observation == "symbolic"
 
 
 def test_the_hours_are_told_before_the_first_training_begins(tmp_path, monkeypatch, capsys):

@@ -8,7 +8,7 @@ from astray import imports
 # astray's own; what each builds is in `policy.BUILDERS`.
 NETWORKS = (
     "impala", "impala-same", "impala-rectified", "mlp", "clear", "nature", "overlap", "patch",
-    "patch-pooled", "patch-impala", "cells", "drc",
+    "patch-pooled", "patch-impala", "strided-impala", "cells", "drc",
 )  # fmt: skip
 CELLS = ("gru", "lstm")  # that any of them can have on top, as in "mlp+gru"
 RENAMED = {"small": "mlp"}  # as older files have them, and what they are called now

@@ -1,4 +1,4 @@
-"""Networks for images that a CPU can train: their first convolution has stride 4 or 8.
+"""Networks for images that a CPU can train: their first convolutions have strides of 2, 4 or 8.
 
 Nearly all multiplications of the paper's network are in its first two blocks, on 64 x 64 and 32 x
 32 places; here there are at most 16 x 16. Every activation is a named module, so that hooks can
@@ -90,6 +90,27 @@ def patch_impala(shape: tuple[int, ...], actions: int, scale: int = 1) -> Convol
         "stem": nn.Conv2d(shape[2], 16 * scale, 4, stride=4),
         "residual": Residual(16 * scale),
         "block": block(16 * scale, 32 * scale),
+        "relu": nn.ReLU(),
+    }
+    return Convolutions(layers, shape, actions, 256)
+
+
+class Centre(nn.Module):
+    """Brings planes from 0 to 1 to -2 to 2, as learning is slow from inputs that are positive."""
+
+    def forward(self, planes: Tensor) -> Tensor:
+        return (planes - 0.5) * 4
+
+
+def strided_impala(shape: tuple[int, ...], actions: int, scale: int = 1) -> Convolutions:
+    """Build IMPALA on 16 x 16 places, which two convolutions of stride 2 have seen."""
+    layers = {
+        "centre": Centre(),
+        "conv1": nn.Conv2d(shape[2], 16 * scale, 5, stride=2, padding=2),
+        "relu1": nn.ReLU(),
+        "conv2": nn.Conv2d(16 * scale, 32 * scale, 3, stride=2, padding=1),
+        "relu2": nn.ReLU(),
+        "block": block(32 * scale, 32 * scale),
         "relu": nn.ReLU(),
     }
     return Convolutions(layers, shape, actions, 256)

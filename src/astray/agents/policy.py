@@ -20,7 +20,7 @@ from astray.agents.drc import DRC
 from astray.agents.impala import WIDTHS, Impala
 from astray.agents.mlp import MLP
 from astray.agents.names import check_network, depth_and_ticks, is_own, renamed_network
-from astray.agents.patch import nature, overlap, patch, patch_impala
+from astray.agents.patch import nature, overlap, patch, patch_impala, strided_impala
 from astray.agents.recurrent import WithCell
 from astray.files import check_readable
 from astray.validation import brief
@@ -98,6 +98,7 @@ BUILDERS: dict[str, Callable[[Architecture], nn.Module]] = {
     "patch": lambda given: patch(given.shape, given.actions, given.scale),
     "patch-pooled": lambda given: patch(given.shape, given.actions, given.scale, pooled=True),
     "patch-impala": lambda given: patch_impala(given.shape, given.actions, given.scale),
+    "strided-impala": lambda given: strided_impala(given.shape, given.actions, given.scale),
     "cells": lambda given: Cells(given.shape, given.actions, given.scale),
 }
 

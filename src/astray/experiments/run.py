@@ -153,12 +153,14 @@ def train_agents(
         if on == "here":  # else some of these wait for their turn
             check_trainable(trainings)
         if plan.speed and on == "here":
-            print(expected(todo, plan.speed, workers), file=sys.stderr, flush=True)
+            tested = {run for name in plan.agents for run in runs[name]}  # others are soon trained
+            slow = {run: one for run, one in todo.items() if run in tested}
+            print(expected(slow, plan.speed, workers), file=sys.stderr, flush=True)
     students = {run for name in plan.teachers for run in runs[name]}
     train_all({run: one for run, one in todo.items() if run not in students}, workers, on, track)
     give_teachers(plan, runs)
     train_all({run: one for run, one in todo.items() if run in students}, workers, on, track)
-    return runs
+    return {name: its for name, its in runs.items() if name in {*plan.agents, *plan.own}}
 
 
 def own_runs(plan: Plan, name: str, root: Path) -> list[Path]:
@@ -205,10 +207,12 @@ def check_trainable(trainings: Mapping[str, Iterable[Config]]) -> None:
 
 def give_teachers(plan: Plan, runs: Runs) -> None:
     """Write the trained teachers' weights to the students' run folders."""
-    for student, teacher in plan.teachers.items():
+    for student in plan.teachers:
+        its = runs[plan.called(student)]
         for number, run in enumerate(runs[student]):
-            its = runs[teacher][number % len(runs[teacher])]  # a published one teaches all
-            give(AgentFolder.open(its).weights, run)
+            give(
+                AgentFolder.open(its[number % len(its)]).weights, run
+            )  # a published one teaches all
 
 
 def published_run(agent: str) -> Path:
@@ -225,20 +229,12 @@ def published_run(agent: str) -> Path:
     return folders.find(agent)
 
 
-def reproduce_each(
-    names: Sequence[str],
-    size: Size,
-    root: Path,
-    *,
-    workers: int | None = None,
-    on: Place = "here",
-    art: str = OWN,
-    track: Tracking | None = None,
-) -> Path:
+def reproduce_each(names: Sequence[str], size: Size, root: Path, **how: Any) -> Path:
     """Run experiments one after the other, also after failures; return the index page.
 
     Args:
         names: As for `reproduce`, or "all" for all in the catalogue with this size.
+        how: Further arguments of `reproduce`.
 
     Raises:
         ValueError: If an experiment or its size does not exist; before any work.
@@ -253,7 +249,7 @@ def reproduce_each(
     failed: dict[str, Exception] = {}
     for name in chosen:
         try:
-            reproduce(name, size, root, workers=workers, on=on, art=art, track=track)
+            reproduce(name, size, root, **how)
         except Exception as error:
             failed[name] = error
             print(f"{name} failed, and the next goes on: {error}", file=sys.stderr, flush=True)

@@ -88,8 +88,11 @@ class Plan:
     agents: Mapping[str, Config] = field(default_factory=dict)  # by name; settings but for the seed
     published: Mapping[str, str] = field(default_factory=dict)  # of those not trained here: the
     # agent that comes with astray, or of the catalogue of published ones, for each name
-    teachers: Mapping[str, str] = field(default_factory=dict)  # of students, by name: which agents
-    # of the plan they are distilled from, each from that of its own seed
+    teachers: Mapping[str, str | Config] = field(
+        default_factory=dict
+    )  # of students, by name: which
+    # agents of the plan they are distilled from, or those that only teach, by their settings; each
+    # from that of its own seed
     world: World | Game | None = None  # that `own` agents play; then there are no others
     own: Mapping[str, OwnAgents] = field(default_factory=dict)  # by name
     first_level: int | None = None  # of all tests; None: those that no agent has met, or for `own`
@@ -111,9 +114,10 @@ class Plan:
         if not set(self.published) <= set(self.agents):
             raise ValueError("`published` must name agents of the plan")
         students = set(self.teachers)
-        if not students | set(self.teachers.values()) <= set(self.agents):
+        named = {name for name in self.teachers.values() if isinstance(name, str)}
+        if not students | named <= set(self.agents):
             raise ValueError("`teachers` must name agents of the plan")
-        if students & {*self.published, *self.teachers.values()}:
+        if students & {*self.published, *named}:
             raise ValueError("a student must be trained here, and teach nobody")
         for name in self.agents.keys() - students - set(self.published):
             if (teacher := self.agents[name].teacher) not in (None, SOLVER):
@@ -199,24 +203,36 @@ class Plan:
         return replace(self, agents=agents)
 
     def trainings(self) -> dict[str, list[Config]]:
-        """Return the settings of every agent that is trained here."""
+        """Return the settings of all agents that are trained here, also to teach alone."""
+        only_teach = {
+            self.called(student): config
+            for student, config in self.teachers.items()
+            if isinstance(config, Config)
+        }
         return {
             name: [
                 replace(config, seed=seed, teacher=self.teacher_of(name, seed))
                 for seed in range(self.first_seed, self.first_seed + self.seeds)
             ]
-            for name, config in self.agents.items()
+            for name, config in {**self.agents, **only_teach}.items()
             if name not in self.published
         }
+
+    def called(self, student: str) -> str:
+        """Return the name of a student's teachers."""
+        teacher = self.teachers[student]
+        return teacher if isinstance(teacher, str) else f"teacher of {student}"
 
     def teacher_of(self, student: str, seed: int) -> str | None:
         """Return the name of a student's teacher: that of a published agent, or of a training."""
         if student not in self.teachers:
-            return self.agents[student].teacher
+            return self.agents[student].teacher if student in self.agents else None
         teacher = self.teachers[student]
-        if teacher in self.published:
-            return self.published[teacher]
-        return name_of_run(replace(self.agents[teacher], seed=seed))
+        if isinstance(teacher, str):
+            if teacher in self.published:
+                return self.published[teacher]
+            teacher = self.agents[teacher]
+        return name_of_run(replace(teacher, seed=seed))
 
 
 def open_agents(plan: Plan, runs: Runs) -> dict[str, list[Agent | Loaded]]:

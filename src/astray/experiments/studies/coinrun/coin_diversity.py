@@ -227,16 +227,16 @@ def unmet(work: Work) -> str:
 def plan(size: Size, fractions: tuple[int, ...], seeds: int, levels: int) -> Plan:
     """Return a plan with agents for each fraction of random coins; 0 is shared by all studies."""
     agent = _agents.AGENTS[size]
-    agents = {
-        NAMES[fraction]: replace(
-            agent, knobs=agent.knobs | ({"random_coin": fraction / 100} if fraction else {})
-        )
+    knobs = {
+        NAMES[fraction]: {"random_coin": fraction / 100} if fraction else {}
         for fraction in fractions
     }
     fewer = "" if fractions == FRACTIONS else "three of the eight fractions; "
     return Plan(
-        agents=agents,
+        agents={name: replace(agent, knobs=agent.knobs | its) for name, its in knobs.items()},
+        teachers=_agents.teachers(size, knobs),
         seeds=seeds,
+        first_seed=_agents.FIRST[size] if size == "night" else 0,
         tests=TESTS,
         levels=levels,
         differences=fewer + _agents.DIFFERENCES[size],

@@ -153,6 +153,11 @@ def collected(size: Size) -> Plan:
     differences = [f"{name}: {plan.differences}" for name, plan in firsts.items()]
     return Plan(
         agents={name: plan.config for name, plan in firsts.items()},
+        teachers={
+            name: plan.teachers[first]
+            for name, plan in firsts.items()
+            if (first := next(iter(plan.agents))) in plan.teachers
+        },
         seeds=min(plan.seeds for plan in firsts.values()),
         first_seed=max(plan.first_seed for plan in firsts.values()),
         levels=1,  # there are no tests
