@@ -18,7 +18,10 @@ from benchmarks.tables import decimal
 from benchmarks.train import iterate, per_second
 
 PAPER = "impala"
-NETWORKS = (PAPER, "impala+gru", "nature", "patch-impala", "overlap", "patch", "patch+gru", "cells")
+NETWORKS = (
+    PAPER, "impala+gru", "nature", "strided-impala", "patch-impala", "overlap", "patch",
+    "patch+gru", "cells",
+)  # fmt: skip
 CONFIG = replace(
     PRESETS["pixels"], variant="corner-small", num_steps=8, minibatches=2, anneal=False
 )
