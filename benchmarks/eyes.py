@@ -28,7 +28,7 @@ from astray.training.config import PRESETS
 from astray.training.fast.acceleration import accelerate, torch_settings
 from benchmarks.tables import NOTHING
 
-NETWORKS = ("cells", "patch-impala", "patch", "impala")
+NETWORKS = ("cells", "strided-impala", "patch-impala", "patch", "impala")
 LEVELS = (24_000, 3_000, 1_000)  # to learn from, unseen, and unseen from corner to corner
 UNSEEN = 1_000_000  # the number of the first unseen level
 BATCH = 250

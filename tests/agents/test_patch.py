@@ -73,3 +73,12 @@ def test_pooled_places_are_all_alike():
 def test_other_sizes_of_images_are_seen_too(name):
     network = built(name, (72, 80, 3))
     assert network(torch.zeros(2, 72, 80, 3, dtype=torch.uint8))[0].shape == (2, 9)
+
+
+@pytest.mark.parametrize("name, first", [("strided-impala", "body.conv1"), ("cells", "stem")])
+def test_the_first_convolution_sees_black_and_white_as_opposites(name, first):
+    network, seen = built(name), []
+    network.get_submodule(first).register_forward_pre_hook(lambda _, given: seen.append(given[0]))
+    for shade in (0, 255):
+        network(torch.full((1, *SHAPE), shade, dtype=torch.uint8))
+    assert seen[0].eq(-2).all() and seen[1].eq(2).all()

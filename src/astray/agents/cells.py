@@ -106,8 +106,9 @@ class Cells(Pixels):
         return whole.transpose(2, 3).flatten(3)
 
     def hidden(self, observations: Tensor) -> Tensor:
-        # In place, as what is divided is a copy.
-        cells = self.cells(observations).to(self.kind(observations)).div_(255).permute(0, 3, 1, 2)
+        # In place, as it is a copy. From inputs that are all positive it learns far more slowly.
+        cells = self.cells(observations).to(self.kind(observations))
+        cells = cells.div_(255).sub_(0.5).mul_(4).permute(0, 3, 1, 2)
         stem = torch.relu(self.stem(cells) + self.place)
         seen = self.seen(stem)
         state = seen
