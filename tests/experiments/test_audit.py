@@ -88,6 +88,31 @@ def blindly(place):
     return Room(place)
 
 
+@pytest.mark.parametrize("last", ["in training", "in the test"])
+def test_an_audit_whose_policy_fails_at_the_trial_leaves_all_as_it_was(tmp_path, last):
+    def choose(seen):
+        if places.pop(0) == last:
+            raise ValueError("it cannot see this")
+        return go_right(seen)
+
+    there = {}
+    for is_there in (False, True):
+        places = ["in training", "in the test"]
+        with pytest.raises(ValueError, match="it cannot see this"):
+            audit(Function(choose, "right"), WORLD, "end", levels=3, folder=tmp_path / "reports")
+        assert files_of(tmp_path) == there
+        if not is_there:
+            audit(RIGHT, WORLD, "end", levels=3, folder=tmp_path / "reports")
+            there = files_of(tmp_path)
+            assert {path.parent.name for path in there} >= {"audit-right-end-smoke", "computed"}
+
+
+def files_of(folder):
+    """Everything in a folder, but locks."""
+    found = (path for path in folder.rglob("*") if path.name != ".lock")
+    return {path: path.is_file() and path.read_bytes() for path in found}
+
+
 @pytest.mark.parametrize(
     "words, said",
     [

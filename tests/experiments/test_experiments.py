@@ -224,9 +224,9 @@ def test_an_edit_of_a_game_of_ones_own_is_another_plan(tmp_path, monkeypatch):
     assert run.provenance_of([TINY]) != run.provenance_of([TINY])
 
 
-def digest_of_tables(name, folder):
+def digest_of_tables(name):
     whole = catalogue.load(name)
-    return run.note(next(iter(whole.sizes.values())), {}, folder, whole)
+    return run.inputs(next(iter(whole.sizes.values())), {}, whole)[1]
 
 
 @pytest.mark.parametrize(
@@ -248,32 +248,32 @@ def digest_of_tables(name, folder):
     }.items(),
 )
 def test_tables_are_computed_anew_after_an_edit_of_code_that_plays_or_measures(
-    module, changed, tmp_path, monkeypatch
+    module, changed, monkeypatch
 ):
     assert importlib.util.find_spec(module)
-    before = digest_of_tables("maze-corner", tmp_path)
+    before = digest_of_tables("maze-corner")
     edit(monkeypatch, module)
-    assert (digest_of_tables("maze-corner", tmp_path) != before) == changed
+    assert (digest_of_tables("maze-corner") != before) == changed
 
 
 @pytest.mark.parametrize("name", catalogue.NAMES)
-def test_a_caption_changes_the_tables_of_its_own_study_alone(name, tmp_path, monkeypatch):
-    before = digest_of_tables(name, tmp_path)
+def test_a_caption_changes_the_tables_of_its_own_study_alone(name, monkeypatch):
+    before = digest_of_tables(name)
     itself = catalogue.MODULES[name]
     imported = provenance.sources(catalogue.load(name).find, sys.modules[itself])
     others = {module for module in catalogue.MODULES.values() if module not in imported}
     assert len(others) > len(catalogue.NAMES) / 2 and itself not in others
     with monkeypatch.context() as context:
         edit(context, *others)
-        assert digest_of_tables(name, tmp_path) == before
+        assert digest_of_tables(name) == before
     edit(monkeypatch, itself)
-    assert digest_of_tables(name, tmp_path) != before
+    assert digest_of_tables(name) != before
 
 
-def test_tables_are_computed_anew_where_a_test_has_another_variant(tmp_path, monkeypatch):
-    before = digest_of_tables("maze-corner", tmp_path)
+def test_tables_are_computed_anew_where_a_test_has_another_variant(monkeypatch):
+    before = digest_of_tables("maze-corner")
     monkeypatch.setattr(Config, "knobs_for", lambda *_: {"time_limit": 7})
-    assert digest_of_tables("maze-corner", tmp_path) != before
+    assert digest_of_tables("maze-corner") != before
 
 
 @pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")

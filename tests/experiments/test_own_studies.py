@@ -3,9 +3,10 @@
 import os
 from dataclasses import replace
 
+import polars as pl
 import pytest
 
-from astray.experiments import catalogue, run
+from astray.experiments import catalogue, run, spec
 
 
 @pytest.mark.parametrize("text", ["[" * 1000, "\0", "9" * 10_000, "a b", "#" * 2**21])
@@ -15,13 +16,19 @@ def test_what_is_no_python_is_no_experiment(tmp_path, text):
         catalogue.find(str(tmp_path / "study.py"))
 
 
+def noted(plan, folder):
+    text, digest = run.inputs(plan, {}, catalogue.load("maze-corner"))
+    run.note(text, digest, folder)
+    return digest
+
+
 def test_tables_of_other_plans_are_deleted_and_nothing_of_the_users(tmp_path):
     first, second = (
         replace(one, seeds=1) for one in [*catalogue.load("maze-corner").sizes.values()][:2]
     )
     computed = tmp_path / "computed"
     computed.mkdir()
-    digest = run.note(first, {}, tmp_path, catalogue.load("maze-corner"))
+    digest = noted(first, tmp_path)
     ours = computed / f"episodes-{digest}.parquet"
     mine = [
         computed / name
@@ -36,19 +43,17 @@ def test_tables_of_other_plans_are_deleted_and_nothing_of_the_users(tmp_path):
         path.write_text("table")
     mine[2].mkdir()
     mine[3].symlink_to(mine[0])
-    assert run.note(first, {}, tmp_path, catalogue.load("maze-corner")) == digest and ours.exists()
-    assert (
-        run.note(second, {}, tmp_path, catalogue.load("maze-corner")) != digest
-        and not ours.exists()
-    )
+    assert noted(first, tmp_path) == digest and ours.exists()
+    assert noted(second, tmp_path) != digest and not ours.exists()
     assert all(map(os.path.lexists, mine))
 
 
 def test_tables_are_not_looked_for_where_a_link_leads(tmp_path):
     (tmp_path / "computed").symlink_to(tmp_path.parent)
     plan = next(iter(catalogue.load("maze-corner").sizes.values()))
-    with pytest.raises(OSError, match="computed must be a folder of its own; it is a link"):
-        run.note(plan, {}, tmp_path, catalogue.load("maze-corner"))
+    for look in (noted, lambda *_: spec.cached(tmp_path, "episodes", pl.DataFrame)):
+        with pytest.raises(OSError, match="computed must be a folder of its own; it is a link"):
+            look(plan, tmp_path)
 
 
 def test_what_fails_in_a_study_of_ones_own_is_told_with_its_line(tmp_path):

@@ -197,6 +197,21 @@ def test_what_was_kept_is_not_kept_again(mouse, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_test_that_the_agent_cannot_see_is_refused_before_the_training_variant_is_played(
+    run, tmp_path, monkeypatch
+):
+    played, evaluate_runs = [], keep.evaluate_runs
+
+    def noted(*words, variant, **more):
+        played.append(variant)
+        return evaluate_runs(*words, variant=variant, **more)
+
+    monkeypatch.setattr(keep, "evaluate_runs", noted)
+    with pytest.raises(ValueError, match="the agent sees observations of shape"):
+        keep.keep(run, "mouse", shift="dish-small", folder=tmp_path, levels=4)
+    assert played == [load_shift("maze", "dish-small").test] and not list(tmp_path.iterdir())
+
+
 def test_what_is_too_large_is_not_kept(run, tmp_path):
     with pytest.raises(ValueError, match=r"a pretrained one is at most 0\.01 MB"):
         keep.keep(run, "mouse", folder=tmp_path, levels=10, largest=10_000)

@@ -1,6 +1,6 @@
 """The report of one agent on one shift: which goal does it pursue?"""
 
-import uuid
+import contextlib
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -17,7 +17,7 @@ from astray.analysis.runs import LEVELS_PLAYED, Mode, load_agent, rated, shift_o
 from astray.experiments import outcomes
 from astray.experiments.run import reproduce
 from astray.experiments.spec import Experiment, OwnAgents, Plan, Test, Work
-from astray.files import write_aside
+from astray.files import aside_of, hold
 from astray.game import Game
 from astray.record import LEVELS
 from astray.report.findings import Findings, Table
@@ -107,7 +107,8 @@ def audit(
         f"Audit {name} {named}", "", f"Does {name} pursue {goals}?", {SIZE: plan}, findings,
         command=command or f"astray.audit({agent!r:.60}, {played.name!r}, {named!r})",
     )  # fmt: skip
-    return reproduce(study, SIZE, Path(folder))
+    with contextlib.nullcontext() if config else hold(path, "audits in"):
+        return reproduce(study, SIZE, Path(folder))
 
 
 def _opened(
@@ -119,9 +120,8 @@ def _opened(
         how = [*(["greedy"] if mode == "greedy" else []), *([art] if art else [])]
         name = name_of(found.path) + (f" ({', '.join(how)})" if how else "")
         return found.config(), partial(load_agent, mode=mode, art=art), found.weights.parent, name
-    # Nobody knows what such a policy depends on, so that no table of another audit is reused.
-    place = Path(folder) / "agents" / f"audit-{agent.name}"
-    write_aside(place / "audit.txt", uuid.uuid4().hex.encode())
+    # Nobody knows what such a policy depends on: with a new path, no table of another is reused.
+    place = aside_of(Path(folder) / "agents" / f"audit-{agent.name}")
     return None, lambda path: agent, place, agent.name
 
 

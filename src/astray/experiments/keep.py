@@ -115,8 +115,8 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
     numbers = np.array(config.unseen_levels[:levels])
     played = {
         variant: evaluate_runs([run], numbers, variant=variant, shift=shift)
-        for variant in (config.variant, between.test)
-        if config.variant_for(variant).time_limit <= LASTING
+        for variant in dict.fromkeys((between.test, config.variant))  # the test may be refused
+        if variant == between.test or config.variant_for(variant).time_limit <= LASTING
     }
     write_video(agent, config, between, played[between.test].episodes, run / "episode.gif")
     card = templates("astray.experiments", markdown=True).get_template("card.md")
@@ -131,7 +131,9 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
         between=between,
         levels=f"{levels:,}",
         outcomes=outcomes_of(game),
-        rows=[row for variant, result in played.items() for row in _rows(variant, result)],
+        rows=[
+            row for variant, result in reversed(played.items()) for row in _rows(variant, result)
+        ],
         settings=config.flat(),
     )
     write_aside(run / CARD, text.encode())

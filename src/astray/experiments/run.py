@@ -28,6 +28,7 @@ from astray.experiments.spec import (
     Runs,
     Size,
     Work,
+    computed,
     name_of_run,
 )
 from astray.experiments.track import track_report
@@ -36,7 +37,6 @@ from astray.files import check_free, folder_aside, hold, read, write_aside
 from astray.game import OWN
 from astray.report import page as report
 from astray.report.claims import corrected
-from astray.report.page import COMPUTED
 from astray.training import checkpoint, folders
 from astray.training.config import SOLVER, Config, Fast, Tracking
 from astray.training.folders import AgentFolder
@@ -47,7 +47,7 @@ from astray.training.trainer import Trainer
 from astray.validation import brief, one_of
 
 ALL = "all"  # experiments of a size
-PLAN = "plan.json"  # what is first written to a report's folder
+PLAN = "plan.json"  # in a report's folder, which is known by it
 TABLE = re.compile(r".+-([0-9a-f]{16})\.parquet")  # the names of tables, which nobody else gives
 
 
@@ -101,10 +101,11 @@ def reproduce(
     beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
     with hold(folder, "works on"), threads_for(size):
         runs = train_agents(plan, root, workers, on, track)
-        digest = note(plan, runs, folder, whole)
+        text, digest = inputs(plan, runs, whole)
         work = Work(name, size, plan, folder, digest, runs, pl.DataFrame())
         if plan.tests:
             work = replace(work, episodes=work.keep("episodes", lambda: play(plan, runs)))
+        note(text, digest, folder)
         findings = whole.find(work)
         findings = replace(findings, claims=corrected(findings.claims))
         videos = [video.scene for video in findings.videos if video.scene]
@@ -266,33 +267,25 @@ def run_folder(root: Path, config: Config) -> Path:
     return root / "agents" / name_of_run(config)
 
 
-def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
-    """Record the plan, agents and code of a report in `folder`; return their digest.
-
-    Tables have it in their names, so none is reused for other inputs. Only tables of other digests
-    are deleted. OSError is raised if the folder holds files that astray did not write.
-    """
-    study = [module for module in catalogue.loaded() if module.EXPERIMENT is experiment]
-    text, digest = inputs(plan, runs, experiment.find, study)
-    computed = folder / COMPUTED
-    if computed.is_symlink():
-        raise OSError(
-            f"{computed} must be a folder of its own; it is a link, to what may not be astray's"
-        )
-    for table in computed.glob("*.parquet"):
+def note(text: bytes, digest: str, folder: Path) -> None:
+    """Record the inputs of a report in `folder`, and delete tables of other digests."""
+    for table in computed(folder).glob("*.parquet"):
         found = TABLE.fullmatch(table.name)
         if found and found[1] != digest and table.is_file() and not table.is_symlink():
             table.unlink()
     write_aside(folder / PLAN, text)
-    return digest
 
 
-def inputs(plan: Plan, runs: Runs, *code: object) -> tuple[bytes, str]:
+def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[bytes, str]:
     """Return JSON of everything that a plan's tables are computed from, and its digest.
 
+    Tables have it in their names, so none is reused for other inputs.
+
     Args:
-        code: Functions and modules that compute further tables than the episodes.
+        whole: Experiment that computes further tables than the episodes.
     """
+    study = [module for module in catalogue.loaded() if module.EXPERIMENT is whole]
+    code = (whole.find, study) if whole else ()
     data = {
         "configs": {n: [c.to_json() for c in made] for n, made in plan.trainings().items()},
         "agents": {

@@ -292,13 +292,20 @@ class Work:
         return cached(self.folder, f"{name}-{self.digest}", compute)
 
 
+def computed(folder: Path) -> Path:
+    """Return the folder of a report's tables; raise OSError if it is a link to what may be any."""
+    if (place := folder / COMPUTED).is_symlink():
+        raise OSError(f"{place} must be a folder of its own; it is a link")
+    return place
+
+
 def cached(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.DataFrame:
     """Return the table `name` of a report's folder; `compute` and store it if it is missing.
 
     Raises:
         ValueError: If the file is not a table of astray's.
     """
-    path = folder / COMPUTED / f"{name}.parquet"
+    path = computed(folder) / f"{name}.parquet"
     if path.exists():
         try:
             return pl.read_parquet(io.BytesIO(read(path)))
