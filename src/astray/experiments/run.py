@@ -289,8 +289,7 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
     data = {
         "configs": {n: [c.to_json() for c in made] for n, made in plan.trainings().items()},
         "agents": {
-            n: [own_digest(run) if n in plan.own else agent_digest(run) for run in made]
-            for n, made in runs.items()
+            n: [agent_digest(run, n in plan.own) for run in made] for n, made in runs.items()
         },
         "tests": {name: asdict(test) for name, test in plan.tests.items()},
         "visited": {name: asdict(test) for name, test in plan.visited.items()},
@@ -331,13 +330,10 @@ def provenance_of(configs: Iterable[Config], *things: object) -> str:
     return provenance.digest(*things, [c.code() for c in configs]) or uuid.uuid4().hex
 
 
-def agent_digest(run: Path) -> str:
-    """Return the digest of the last agent in a run folder."""
-    return AgentFolder.open(run).digest()[:16]
-
-
-def own_digest(run: Path) -> str:
-    """Return a digest of an agent of others: of its file, or of all files in its folder."""
+def agent_digest(run: Path, is_own: bool = False) -> str:
+    """Return a digest of the last agent in a run folder; of others, of their file or all files."""
+    if not is_own:
+        return AgentFolder.open(run).digest()[:16]
     files = sorted(path for path in run.rglob("*") if path.is_file()) if run.is_dir() else [run]
     digest = hashlib.sha256()
     for file in files:
