@@ -99,6 +99,7 @@ class Centre(nn.Module):
     """Brings planes from 0 to 1 to -2 to 2, as learning is slow from inputs that are positive."""
 
     def forward(self, planes: Tensor) -> Tensor:
+        """Return centred planes [N, C, H, W] of `planes` of that shape."""
         return (planes - 0.5) * 4
 
 
