@@ -39,7 +39,8 @@ CONTENTS = re.compile(r'(<nav class="md-nav") aria-label="[^"]*">')
 SEARCH = 'data-md-component="search" role="dialog"'
 PLAIN_TABLE = re.compile(r"<table>(?=(?:(?!</table>|<a\b).)*</table>)", re.DOTALL)
 CODE = re.compile(r"<code\b.*?</code>", re.DOTALL)
-OPTION = re.compile(r"(?<![\w-])--\w[\w-]*(?![^<]*>)")  # in a text, and not in a tag
+# An option, a name with dashes or an extra, in a text and not in a tag.
+WHOLE = re.compile(r"(?:(?<![\w-])(?:--\w[\w-]*|-?\w+(?:-\w+)+)|\.\[[\w,]+\])(?![^<]*>)")
 NAMED = re.compile(r'\b(?:id|name)="([^"]+)"')
 
 
@@ -65,9 +66,9 @@ def accessible(output: str) -> str:
     """Return a page of the theme whose search and sections have names.
 
     No landmark has another's name, no header of a table is empty, and tables without links can be
-    reached, to be scrolled. A line never ends between an option's dashes and its name.
+    reached, to be scrolled. A line of code never ends within an option or a name with dashes.
     """
-    output = CODE.sub(lambda m: OPTION.sub(r'<span class="option">\g<0></span>', m[0]), output)
+    output = CODE.sub(lambda m: WHOLE.sub(r'<span class="whole">\g<0></span>', m[0]), output)
     output = SECTION.sub(r'\1aria-label="\2"', output).replace("<th></th>", "<td></td>")
     output = CONTENTS.sub(r'\1 role="presentation">', output)
     return PLAIN_TABLE.sub('<table tabindex="0">', output).replace(

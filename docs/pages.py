@@ -309,6 +309,8 @@ def size_parts(plan: Plan) -> Iterator[str]:
             for name, test in tests.items()
         ]
         yield table(("test", "variant", "shift", "knobs changed"), rows)
+    if not (plan.differences or plan.published or plan.agents or tests):
+        yield "No agent is trained or played: the study makes all that it measures."
 
 
 def settings(config: Config) -> dict[str, str]:

@@ -77,21 +77,21 @@ BROKEN = """(widths) => {
   const found = [];
   while (told.nextNode()) {
     if (!told.currentNode.parentElement.closest("code")) continue;
-    for (const { index, 0: option } of told.currentNode.data.matchAll(/--\\w[\\w-]*/g)) {
+    for (const { index, 0: name } of told.currentNode.data.matchAll(/-{0,2}\\w+(-\\w+)+|--\\w+/g)) {
       const range = new Range();
       range.setStart(told.currentNode, index);
-      range.setEnd(told.currentNode, index + option.length);
-      found.push([option, range]);
+      range.setEnd(told.currentNode, index + name.length);
+      found.push([name, range]);
     }
   }
   return found.length && widths.flatMap((width) => {
     document.body.style.width = `${width}px`;
-    return found.filter(([, range]) => range.getClientRects().length > 1).map(([option]) => option);
+    return found.filter(([, range]) => range.getClientRects().length > 1).map(([name]) => name);
   });
 }"""
 
 
-def test_no_line_ends_within_an_option(site, chrome):
+def test_no_line_ends_within_an_option_or_a_name_with_dashes(site, chrome):
     context = chrome.new_context(viewport={"width": 420, "height": 900})
     shown = context.new_page()
     shown.goto((site / "published.html").as_uri())
