@@ -61,7 +61,6 @@ export class Editor {
     if (this.tool === "hand") {
       this.#lift(cell);
     } else {
-      this.painting = this.tool === "wall" ? this.what(cell) !== "wall" : this.what(cell) !== this.tool;
       this.#paint(cell, true);
       this.last = String(cell);
     }
@@ -113,12 +112,12 @@ export class Editor {
     this.lab.part("world").classList.remove("grabbing");
   }
 
-  // Draw or erase with the tool: a wall, or an object.
+  // Draw or erase with the tool a wall or an object, as in the first cell of a stroke.
   #paint(cell, first) {
     const { legend, objects } = this.lab.rules;
     const there = this.what(cell);
-    const wanted = this.tool === "wall" ? "wall" : this.tool;
-    if (there === "agent" || (this.painting ? there !== "" : there !== wanted)) return;
+    if (first) this.painting = there !== this.tool;
+    if (there === "agent" || (this.painting ? there !== "" : there !== this.tool)) return;
     const level = this.#copy();
     const code = this.tool === "wall" ? legend["#"] ?? 1 : legend[objects[this.tool]];
     level.grid[cell[1]][cell[0]] = this.painting ? code : legend["."];
@@ -173,11 +172,7 @@ export class Editor {
       this.#do(event, () => {
         if (this.held) this.#drop();
         else if (this.tool === "hand") this.#lift(this.cursor);
-        else {
-          this.painting = this.tool === "wall"
-            ? this.what(this.cursor) !== "wall" : this.what(this.cursor) !== this.tool;
-          this.#paint(this.cursor, true);
-        }
+        else this.#paint(this.cursor, true);
       });
     } else if (key === "Escape") {
       this.#drop();

@@ -43,9 +43,8 @@ export class Panels {
     hear("next", "click", () => this.#to(this.#number() + 1));
     hear("theme", "click", () => this.#theme());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.redraw());
-    for (const name of ["undo", "redo", "restore", "step"]) {
-      part(name === "step" ? "once" : name).addEventListener("click", () => lab[name]());
-    }
+    for (const name of ["undo", "redo", "restore"]) hear(name, "click", () => lab[name]());
+    hear("once", "click", () => lab.step());
     hear("hand", "click", () => lab.handOver());
     hear("rewind", "click", () => lab.go(0));
     hear("back", "click", () => lab.go(lab.now - 1));
@@ -138,12 +137,6 @@ export class Panels {
       if (option.value === "goals") option.hidden = lab.rules.real_time;
     }
     part("zoomed").hidden = !lab.look.view;
-    const [thing = "agent"] = this.#objects().map((name) => named(lab, name));
-    const picture = lab.episode?.states[0].picture ?? "agent";
-    const doer = lab.look.agent ?? picture.split("-")[0]; // of "robot-shards" the first
-    part("lead").textContent = lab.agent
-      ? `Drag the ${thing}. The arrows are what the ${doer} would do. ${about.agents[lab.agent]?.caveat ?? ""}`
-      : `Drag the ${thing}, or play.`;
   }
 
   // The objects, first the intended goal's.
@@ -249,20 +242,28 @@ export class Panels {
     this.routed();
   }
 
-  // The objects whose places may all be played; each that there are several of by its cell.
+  // The objects whose places may all be played, each that there are several of by its cell; and
+  // what the page says first, about the first of them.
   #things() {
     const { lab, part } = this;
-    const found = [];
+    const [found, kinds] = [[], []];
     for (const name of this.#objects()) {
       const cells = [];
       lab.level.grid.forEach((row, y) => row.forEach((code, x) => {
         if (code === lab.rules.legend[lab.rules.objects[name]]) cells.push([x, y]);
       }));
+      if (cells.length) kinds.push(`${cells.length > 1 ? "any" : "the"} ${named(lab, name)}`);
       for (const cell of cells.slice(0, 12)) {
         found.push([`${name}@${cell}`, cells.length > 1 ? `${name} at (${cell.join(", ")})` : named(lab, name)]);
       }
     }
     options(part("thing"), [...found, ["agent", "agent (where it begins)"]], part("thing").value);
+    const picture = lab.episode.states[0].picture ?? "agent";
+    const doer = lab.look.agent ?? picture.split("-")[0]; // of "robot-shards" the first
+    const [thing = `the ${doer}`] = kinds;
+    part("lead").textContent = lab.agent
+      ? `Drag ${thing}. The arrows are what the ${doer} would do. ${lab.about.agents[lab.agent].caveat ?? ""}`
+      : `Drag ${thing}, or play.`;
   }
 
   // The goals that the level has, one of each event: first those that are compared.
