@@ -238,6 +238,12 @@ def test_an_explanation_that_cannot_be_is_refused_before_a_level_is_looked_for(
     assert said in astray("explain", "maze-corner", *words, fails=True)
 
 
+def test_a_policy_of_the_name_of_a_script_is_refused_before_a_step_is_tried(astray, monkeypatch):
+    monkeypatch.setattr(GameVectorEnv, "reset", lambda *_, **__: pytest.fail("it was played"))
+    words = ("evaluate", "--policy", "random", "--game", "maze", "--shift", "corner-small")
+    assert "policies must have names of their own; got walk to" in astray(*words, fails=True)
+
+
 def test_an_explanation_without_room_is_refused_before_a_level_is_looked_for(
     astray, tmp_path, monkeypatch, full_disk
 ):

@@ -92,10 +92,9 @@ def _turned(layer: str, kernel: np.ndarray) -> np.ndarray:
     if kernel.ndim != 2:
         raise ValueError(f"the kernel of {layer} must be [inputs, outputs]; got {kernel.shape}")
     channels = BLOCKS[-1][-1]
-    if layer == "pi/dense" and len(kernel) % channels == 0:
+    side = round((len(kernel) // channels) ** 0.5)
+    if layer == "pi/dense" and side * side * channels == len(kernel):
         # It sees rows, columns, channels; ours channels first. Of a picture 4 x 4 x 32.
-        side = round((len(kernel) // channels) ** 0.5)
-        if side * side * channels == len(kernel):
-            pixels = kernel.reshape(side, side, channels, kernel.shape[1])
-            kernel = pixels.transpose(2, 0, 1, 3).reshape(kernel.shape)
+        pixels = kernel.reshape(side, side, channels, kernel.shape[1])
+        kernel = pixels.transpose(2, 0, 1, 3).reshape(kernel.shape)
     return np.ascontiguousarray(kernel.T)
