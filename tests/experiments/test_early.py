@@ -1,6 +1,7 @@
 """What cannot be done is refused before the work, not after hours of it."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -191,6 +192,18 @@ def test_a_lab_that_cannot_be_exported_is_refused_before_anything_is_computed(
         exporting.export(make_lab("coin-end-pixels", {}), tmp_path / "site")
     with pytest.raises(ValueError, match="unknown variant 'far' of heist"):
         exporting.export(make_lab(None, {}), tmp_path / "site", games={"heist": "far"})
+
+
+def test_a_broken_agent_keeps_no_other_from_an_exported_page(tmp_path, monkeypatch):
+    monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path))
+    whole = exporting.check_exportable(make_lab("maze-corner", {"level": 0}), None, {})
+    ruined = shutil.copytree(folders.find("maze-corner"), tmp_path / "ruined")
+    (weights,) = ruined.glob("checkpoints/*/agent.safetensors")
+    weights.write_bytes(b"x")
+    found = exporting.check_exportable(make_lab("maze-corner", {"level": 0}), None, {})
+    assert found == whole and "ruined" not in found and "coin-end" in found
+    with pytest.raises(ValueError, match="is not an agent that can be used"):
+        exporting.check_exportable(make_lab("maze-corner", {"level": 0}), ["ruined"], {})
 
 
 def test_a_lab_that_cannot_be_exported_is_refused_before_a_level_is_looked_for(

@@ -5,6 +5,7 @@ posteriors over goals. Networks for images become tables, computed here: in some
 place of goal and agent, the policy and the value, one byte each.
 """
 
+import contextlib
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -99,14 +100,13 @@ def check_exportable(
 
 def _chosen(lab: Lab) -> list[str]:
     """Return the agents to export: those with a run of a game that the page supports."""
-    first = lab.start.get("agent", "")
-    opened = {name: lab.agents.open(name)[0] for name in lab.agents.paths}
-    small = [
-        name
-        for name, agent in opened.items()
-        if agent.architecture.name == COMPUTED and is_played(games.find(agent.game))
-    ]
-    return list(dict.fromkeys([*([first] if first else []), *small]))
+    chosen = [first] if (first := lab.start.get("agent", "")) else []
+    for name in lab.agents.paths:
+        with contextlib.suppress(ValueError, OSError):  # a broken one keeps no other from the page
+            agent = lab.agents.open(name)[0]
+            if agent.architecture.name == COMPUTED and is_played(games.find(agent.game)):
+                chosen.append(name)
+    return [*dict.fromkeys(chosen)]
 
 
 def _write_page(folder: Path) -> None:
