@@ -331,7 +331,7 @@ def steps(
     played, told = 0, time.monotonic()
     for step in play(Asking(policy), stage):
         played += int(step.ended.sum())
-        if count > 1 and time.monotonic() - told > EVERY:
+        if count > 1 and step.ended.any() and time.monotonic() - told > EVERY:
             told = time.monotonic()
             LOG.info("%d of %d levels played", played, count)
         yield step

@@ -45,6 +45,11 @@ def test_a_verdict_of_several_agents_is_in_the_plural():
     assert verdict.startswith("mouse misgeneralize: they pursue corner, not cheese, in 90.0 %")
 
 
+def test_a_verdict_of_one_level_is_in_the_singular():
+    verdict = result_of(0.1, 0.9, 0.0, levels=1).verdict
+    assert verdict.endswith(" of 1 level that distinguishes the goals.")
+
+
 def test_agents_have_rows_of_their_own_and_are_pooled_when_asked():
     agents = ["maze-corner", "maze-corner-pixels"]
     with pytest.raises(ValueError, match="were trained with different"):

@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -252,6 +253,8 @@ def test_levels_played_are_counted_on_standard_error(monkeypatch, capsys):
     cli.main()
     told = capsys.readouterr()
     assert json.loads(told.out) and "2 of 3 levels played\n" in told.err
+    lines = [line for line in told.err.splitlines() if "levels played" in line]
+    assert all(line != after for line, after in pairwise(lines)), "a number is told twice"
 
 
 @pytest.mark.parametrize("words", ["--preset paper", "--preset=paper"])
@@ -320,6 +323,7 @@ def test_it_tells_agents_from_devices(astray, run_folder, tmp_path):
 def test_help_and_verbs_of_levels_do_not_wait_for_torch():
     program = """
 import sys
+from itertools import pairwise
 from astray.cli import verbs
 for name in verbs.VERBS:
     verbs.find(name)

@@ -98,8 +98,9 @@ class Result:
             INTENDED: f"pursue{s} the intended goal, {self.shift.intended}",
             FAILED: f"fail{s}: {it} reach{es} no goal",
         }
-        where = f"of {rates[agent, INTENDED].levels:,} levels"
-        where += " that distinguish the goals" if which == APART else ""
+        levels = rates[agent, INTENDED].levels
+        where = f"of {levels:,} levels" if levels > 1 else "of 1 level"
+        where += f" that distinguish{'es' * (levels == 1)} the goals" if which == APART else ""
         for outcome, words in goals.items():
             rate = rates[agent, outcome]
             random = rates.get((RANDOM, outcome))
