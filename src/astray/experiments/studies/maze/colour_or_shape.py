@@ -259,6 +259,7 @@ EXPERIMENT = Experiment(
             maze_corner.NIGHT,
             shift="colour-or-shape",
             seeds=2,
+            first_seed=1,
             differences=maze_corner.BY_NIGHT,
             speed=maze_corner.SPEED,
         ),

@@ -197,6 +197,7 @@ EXPERIMENT = Experiment(
         "night": Plan(
             agents=sweep(maze_corner.NIGHT, (4, 10)),
             seeds=2,
+            first_seed=1,
             tests={"in the test": tests_of("maze", "corner")["in the test"]},
             levels=1000,
             differences=f"regions of 1, 4 and 10 cells; {maze_corner.BY_NIGHT}",
