@@ -250,6 +250,37 @@ def _check_whole(game: str, part: str, given: Any, kind: type) -> None:
         )
 
 
+def check_names(rules: Any, *more: str) -> None:
+    """Raise ValueError unless named parts of a game or World are mappings whose names are texts."""
+    for name in ("variants", "goals", "shifts", "ends", "measures", *more):
+        of_kind(name, getattr(rules, name), Mapping)
+        for one in getattr(rules, name):
+            of_kind(f"each name of {name}", one, str)
+
+
+def check_goals(rules: Any) -> None:
+    """Raise ValueError if a goal, an end or a shift of a game or World names what it lacks."""
+    check_ends(rules.ends)
+    for outcome in (*rules.goals.values(), *rules.ends.values()):
+        match outcome:
+            case More(measure, than):
+                one_of("measure of a goal", measure, rules.measures)
+                if isinstance(than, str):
+                    one_of("measure of a goal", than, rules.measures)
+                else:
+                    finite("what a measure is more than", than)
+            case Truncated():
+                pass
+            case Never(event) | event:
+                one_of("event of a goal", event, rules.events)
+    for shift in rules.shifts.values():
+        of_kind("a shift", shift, Shift)
+        for variant in (shift.train, shift.test):
+            one_of("variant of a shift", variant, rules.variants)
+        for goal in (shift.intended, *shift.proxies):
+            one_of("goal of a shift", goal, rules.goals)
+
+
 @dataclass(frozen=True, eq=False)
 class Game:
     """The rules, levels and appearance of one game, and its optional abilities.
@@ -299,10 +330,13 @@ class Game:
     real_time: bool = False  # things move while the agent stays; otherwise a player may take time
 
     def __post_init__(self) -> None:
-        check_ends(self.ends)
+        of_kind("about", self.about, str)
         for part, kind in PARTS.items():
-            if not isinstance(given := getattr(self, part), Missing | None):
+            given = getattr(self, part)
+            if part not in ABILITIES or not isinstance(given, Missing | None):
                 _check_whole(self.name, part, given, kind)
+        check_names(self, "looks", "labels")
+        check_goals(self)
         for ability in ABILITIES:
             if getattr(self, ability) is None:
                 object.__setattr__(self, ability, Missing(self.name, ability))

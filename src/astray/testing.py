@@ -21,12 +21,11 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from astray.acting import LASTING, initial_states, steps
-from astray.analysis.outcomes import outcomes_of
 from astray.analysis.policies import Walk
 from astray.envs.compiled import compiled_loop
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
-from astray.game import OWN, Game, More, Never, Outcome, Variant
+from astray.game import OWN, Game, Variant
 from astray.level import Level
 from astray.record import NEVER
 
@@ -69,31 +68,13 @@ def report_compiling(game: Game) -> None:
 
 
 def check_parts(game: Game) -> None:
-    """Check that events, goals and shifts name existing fields and variants."""
+    """Check that events are fields, that there is art, and that variants are of one class."""
     fields: Any = game.state.fields
     for event in game.events:
         assert fields[event][0] == np.int64, f"the event {event!r} must be an int64 of the state"
-    for name, outcome in (*game.goals.items(), *game.ends.items()):
-        _check_outcome(game, name, outcome)
-    outcomes_of(game)
-    for name, shift in game.shifts.items():
-        for variant in (shift.train, shift.test):
-            assert variant in game.variants, f"shift {name!r}: there is no variant {variant!r}"
-        for goal in (shift.intended, *shift.proxies):
-            assert goal in game.goals, f"shift {name!r}: there is no goal {goal!r}"
     assert OWN in game.looks, f"looks must have {OWN!r}; got {', '.join(game.looks)}"
     kinds = {type(variant) for variant in game.variants.values()}
     assert len(kinds) == 1, f"variants must be of one class; got {kinds}"
-
-
-def _check_outcome(game: Game, name: str, outcome: Outcome) -> None:
-    """Check that a goal or an end names events and measures of the game."""
-    match outcome:
-        case More(measure, than):
-            for one in (measure, *([than] if isinstance(than, str) else [])):
-                assert one in game.measures, f"{name!r}: there is no measure {one!r}"
-        case Never(event) | str(event):
-            assert event in game.events, f"{name!r} must be an event; got {event!r}"
 
 
 def check_batches(game: Game, variant: Variant) -> None:

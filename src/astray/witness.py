@@ -63,9 +63,11 @@ class Witness(gymnasium.Wrapper):
         self.time += 1
         try:
             seen, reward, terminated, truncated, info = self.env.step(action)
-            ended = bool(terminated or truncated)
         except FAILURES as error:
             raise self._failed("step", error) from error
+        self._check_flag("flag of termination", terminated)
+        self._check_flag("flag of truncation", truncated)
+        ended = bool(terminated or truncated)
         # Kinds of numbers are single objects; to compare them takes longer.
         if (
             type(seen) is not np.ndarray
@@ -81,11 +83,18 @@ class Witness(gymnasium.Wrapper):
         try:
             if isfinite(reward):
                 return seen, float(reward), terminated, truncated, info
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             pass
         raise ValueError(
             f"{self._where()}: its reward must be a finite number; got {shown(reward)}"
         )
+
+    def render(self) -> Any:
+        """Return the image of the environment; raise ValueError if it fails."""
+        try:
+            return self.env.render()
+        except FAILURES as error:
+            raise self._failed("render", error) from error
 
     def close(self) -> None:
         """End the environment; raise ValueError if it fails."""
@@ -115,12 +124,7 @@ class Witness(gymnasium.Wrapper):
             raise self._failed(f"event {name!r}", error) from error
         new = False
         for name, is_now in told:
-            # Others may be NaN, which is truthy, or text; that check takes 3 us.
-            if type(is_now) not in BOOLEANS and (np.ndim(is_now) or is_now not in (0, 1)):
-                raise ValueError(
-                    f"{self._where()}: its event {name!r} must be True or False; got "
-                    f"{shown(is_now)}"
-                )
+            self._check_flag(f"event {name!r}", is_now)
             if is_now:
                 self.first[name], new = self.time, True
                 self._waiting = tuple(one for one in self._waiting if one[0] != name)
@@ -147,6 +151,13 @@ class Witness(gymnasium.Wrapper):
         if kind is not None and not np.can_cast(kind, self._kind, "same_kind"):
             raise ValueError(
                 f"{self._where()}: the observation is of {kind}, where the space says {self._kind}"
+            )
+
+    def _check_flag(self, name: str, flag: Any) -> None:
+        # Others may be NaN, which is truthy, or text; that check takes 3 us.
+        if type(flag) not in BOOLEANS and (np.ndim(flag) or flag not in (0, 1)):
+            raise ValueError(
+                f"{self._where()}: its {name} must be True or False; got {shown(flag)}"
             )
 
     def _check_info(self, info: Any) -> None:

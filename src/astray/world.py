@@ -13,8 +13,7 @@ import gymnasium
 import numpy as np
 
 from astray import games, imports
-from astray.game import OWN, Game, Missing, More, Never, Outcome, Shift, Truncated
-from astray.outcome import check_ends
+from astray.game import OWN, Game, Missing, Outcome, Shift, check_goals, check_names
 from astray.record import record_dtype
 from astray.validation import brief, finite, of_kind, one_of, shown
 
@@ -65,7 +64,7 @@ class WorldVariant:
         """Return a new environment.
 
         Raises:
-            ValueError: If the factory fails, or returns anything but a `gymnasium.Env`.
+            ValueError: If the factory fails, or returns no `gymnasium.Env` with its spaces.
         """
         try:
             made = self.factory(**self.knobs)
@@ -75,6 +74,8 @@ class WorldVariant:
             raise ValueError(
                 f"the factory of {self} must return a gymnasium.Env; got {shown(made)}"
             )
+        for name in ("observation_space", "action_space"):
+            of_kind(f"the {name} of {self}", getattr(made, name, None), gymnasium.Space)
         return made
 
     def rendered(self) -> WorldVariant:
@@ -177,10 +178,7 @@ class World:
     reported: set[str] = field(default_factory=set, init=False, repr=False)  # keys of info so far
 
     def __post_init__(self) -> None:
-        for name in ("variants", "events", "goals", "shifts", "ends", "experts", "measures"):
-            of_kind(name, getattr(self, name), Mapping)
-            for one in getattr(self, name):
-                of_kind(f"each name of {name}", one, str)
+        check_names(self, "events", "experts")
         finite("patience", self.patience, 0.001)
         if self.level_key is not None and self.repeats:
             raise ValueError(
@@ -193,33 +191,9 @@ class World:
                     f"the event {name!r} must be a key of info or a function of the environment "
                     f"and info; got {shown(happened)}"
                 )
-        check_ends(self.ends)
         for goal in self.experts:
             one_of("goal of an expert", goal, self.goals)
-        for outcome in (*self.goals.values(), *self.ends.values()):
-            self._check_outcome(outcome)
-        for shift in self.shifts.values():
-            of_kind("a shift", shift, Shift)
-            for variant in (shift.train, shift.test):
-                one_of("variant of a shift", variant, self.variants)
-            for goal in (shift.intended, *shift.proxies):
-                one_of("goal of a shift", goal, self.goals)
-
-    def _check_outcome(self, outcome: Outcome) -> None:
-        """Raise ValueError if a goal or an end names an unknown event or measure."""
-        match outcome:
-            case More(measure, than):
-                one_of("measure of a goal", measure, self.measures)
-                if isinstance(than, str):
-                    one_of("measure of a goal", than, self.measures)
-                else:
-                    finite("what a measure is more than", than)
-            case Never(event):
-                one_of("event of a goal", event, self.events)
-            case Truncated():
-                pass
-            case event:
-                one_of("event of a goal", event, self.events)
+        check_goals(self)
 
     def __getattr__(self, name: str) -> Any:
         if name in NOT_OURS:

@@ -84,6 +84,13 @@ def test_environments_that_show_no_images_are_audited_without_videos(tmp_path):
     assert not (page.parent / "videos").exists()
 
 
+def test_environments_whose_drawing_fails_are_audited_without_videos(tmp_path):
+    makers = {name: partial(Room, name, trouble="blind") for name in WORLD.variants}
+    page = audit(RIGHT, replace(WORLD, variants=makers), "end", levels=20, folder=tmp_path)
+    assert "its render fails: NotImplementedError" in page.read_text("utf-8")
+    assert not (page.parent / "videos").exists()
+
+
 def blindly(place):
     return Room(place)
 

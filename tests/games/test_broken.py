@@ -5,10 +5,12 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
 from astray import games, imports
+from astray.game import More, Never, Shift
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
 from helpers.guests import offer
@@ -24,15 +26,22 @@ SOURCES = {
     "ends": "class End(BaseException): pass\nraise End('for good')",
     "leaves_late": "import dataclasses, sys\nfrom astray import games\n"
     "class Variants(dict):\n    items = sys.exit\n"
-    "GAME = dataclasses.replace(games.find('maze'), name='leaves_late', variants=Variants())",
+    "GAME = dataclasses.replace(games.find('maze'), name='leaves_late', "
+    "variants=Variants(), shifts={})",
     "misleads_late": "import dataclasses\nfrom astray import games\n"
     "class Odd(ValueError):\n    def __str__(self): raise KeyboardInterrupt\n"
     "class Variants(dict):\n    def items(self): raise Odd\n"
-    "GAME = dataclasses.replace(games.find('maze'), name='misleads_late', variants=Variants())",
+    "GAME = dataclasses.replace(games.find('maze'), name='misleads_late', "
+    "variants=Variants(), shifts={})",
     "is_no_text": "import dataclasses\nfrom astray import games\n"
     "GAME = dataclasses.replace(games.find('maze'), name='is_no_text', about=b'maze')",
     "is_hollow": "import dataclasses\nfrom astray import games\n"
-    "GAME = dataclasses.replace(games.find('maze'), name='is_hollow', variants={'one': 3})",
+    "GAME = dataclasses.replace(games.find('maze'), name='is_hollow', "
+    "variants={'one': 3}, shifts={})",
+    "lacks_rules": "import dataclasses\nfrom astray import games\n"
+    "GAME = dataclasses.replace(games.find('maze'), name='lacks_rules', rules=None)",
+    "has_odd_goals": "import dataclasses\nfrom astray import games\n"
+    "GAME = dataclasses.replace(games.find('maze'), name='has_odd_goals', goals={3: object()})",
 }
 REASONS = {
     "raises": "RuntimeError('it lacks a file')",
@@ -44,8 +53,10 @@ REASONS = {
     "ends": "End('for good')",
     "leaves_late": "SystemExit()",
     "misleads_late": "fails: Odd()",
-    "is_no_text": "type bytes is not JSON",
+    "is_no_text": "about must be a str; got b'maze'",
     "is_hollow": "no attribute 'about'",
+    "lacks_rules": "rules of the game 'lacks_rules' must have ACTIONS,",
+    "has_odd_goals": "each name of goals must be a str; got 3",
 }
 
 
@@ -67,7 +78,7 @@ def test_what_is_there_is_listed_beside_broken_games_and_why(strangers, astray):
 
 @pytest.mark.parametrize("name", REASONS)
 def test_a_broken_game_is_refused_where_it_is_asked_for(strangers, name):
-    if name in ("leaves_late", "misleads_late", "is_no_text", "is_hollow"):
+    if name in ("leaves_late", "misleads_late", "is_hollow"):
         assert games.find(name).name == name  # it is broken where it is described
     else:
         with pytest.raises(ValueError, match=re.escape(REASONS[name])):
@@ -126,7 +137,27 @@ def test_text_is_listed_without_its_markup_or_control_characters(tmp_path, monke
     listed = astray("list")
     assert [listed.count(about.replace("\x1b", "\\x1b")) for about in abouts] == [2, 1, 1]
     assert "x" * 400 not in "".join(listed.split())
+    (page,) = Session(make_lab("maze-corner", {})).answers('{"id": 1, "kind": "hello"}')
+    assert len(page["games"]["is_marked"]["about"]) == 300
     games._offered.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"levels": None}, "levels of the game 'maze' must have"),
+        ({"goals": None}, "goals must be a Mapping; got None"),
+        ({"goals": {"hole": "fell"}}, "unknown event of a goal 'fell'"),
+        ({"ends": {"late": Never("fell")}}, "unknown event of a goal 'fell'"),
+        ({"goals": {"many": More("keys")}, "shifts": {}}, "unknown measure of a goal 'keys'"),
+        ({"shifts": {"one": 1}}, "a shift must be a Shift; got 1"),
+        ({"shifts": {"one": Shift("corner", "no", "cheese", ())}}, "unknown variant of a shift"),
+        ({"shifts": {"one": Shift("corner", "corner", "no", ())}}, "unknown goal of a shift"),
+    ],
+)
+def test_a_game_that_names_what_it_lacks_cannot_be_made(wrong, said):
+    with pytest.raises(ValueError, match=said):
+        replace(games.find("maze"), **wrong)
 
 
 @pytest.mark.parametrize("text", [b"[astray.games]\nno sign of equality\n", b"[a]\n\xff = b:C\n"])

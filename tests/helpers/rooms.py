@@ -27,6 +27,8 @@ class Room(gymnasium.Env):
             gymnasium.spaces.MultiDiscrete([2, 3]) if vector else gymnasium.spaces.Discrete(2)
         )
         self.render_mode = render_mode
+        if trouble == "spaceless":
+            self.observation_space = None
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -43,11 +45,14 @@ class Room(gymnasium.Env):
         self.steps += 1
         there = self.x == self.square
         info = None if self.trouble == "no info" else {"square": there}
-        reward = {"nan": np.nan, "text": "much"}.get(self.trouble, float(there))
-        return self._seen(), reward, there, self.time >= LIMIT, info
+        reward = {"nan": np.nan, "text": "much", "vast": 10**400}.get(self.trouble, float(there))
+        ended = {"word": "False", "unsaid": None}.get(self.trouble, there)
+        return self._seen(), reward, ended, self.time >= LIMIT, info
 
     def render(self):
         """Cells of two pixels; the agent is red, the square green."""
+        if self.trouble == "blind":
+            raise NotImplementedError
         picture = np.zeros((1, CELLS, 3), np.uint8)
         picture[0, self.x, 0] = picture[0, self.square, 1] = 255
         return picture.repeat(2, 0).repeat(2, 1)

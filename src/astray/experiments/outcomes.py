@@ -3,6 +3,7 @@
 The policy "sampled" stands for the agents: as in the original, actions are sampled.
 """
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from astray.analysis.outcomes import (
     rates,
 )
 from astray.analysis.policies import Walk
+from astray.envs.worlds import WorldVectorEnv
 from astray.experiments.spec import SPREADS, Plan, Test, Work, open_agents
 from astray.experiments.videos import write_pair
 from astray.figures import charts
@@ -162,9 +164,12 @@ def unrendered(plan: Plan, *tests: Test) -> str:
         return STREAMS
     try:
         for test in tests:
-            if isinstance(variant := plan.variant_of(test), WorldVariant):
-                variant.rendered()
-    except ValueError as error:
+            variant = plan.variant_of(test)
+            if isinstance(game, World) and isinstance(variant, WorldVariant):
+                with contextlib.closing(WorldVectorEnv(game, variant.rendered(), 1)) as env:
+                    env.reset(options={"level": [0]})
+                    env.render()
+    except (ValueError, RuntimeError) as error:
         return brief(error)
     return ""
 

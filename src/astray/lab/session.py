@@ -110,12 +110,12 @@ def about_game(game: Game) -> Reply:
     legend = dict(game.editing.LEGEND) if game.editing else {}
     sprites = game.sprites
     return {
-        "about": game.about,
+        "about": brief(game.about),
         "actions": list(game.actions),
         "events": list(game.events),
         "goals": game.event_goals,
         "shifts": {name: vars(shift) for name, shift in game.shifts.items()},
-        "variants": {name: variant.about for name, variant in game.variants.items()},
+        "variants": {name: brief(v.about) for name, v in game.variants.items()},
         "knobs": {
             name: {knob: getattr(v, knob) for knob in knobs(type(v))}
             for name, v in game.variants.items()
