@@ -73,7 +73,7 @@ def test_the_face_imports_no_torch_until_it_is_needed():
 def test_a_registered_game_is_found_by_name_and_by_gymnasium(monkeypatch):
     monkeypatch.setattr(games, "_registered", {})
     maze = games.find("maze")
-    mine = replace(maze, name="mine", variants={"one": maze.variants["corner"]})
+    mine = replace(maze, name="mine", variants={"one": maze.variants["corner"]}, shifts={})
     astray.register(mine)
     assert games.find("mine") is mine and "mine" in games.names()
     assert gymnasium.make("astray/mine-one-v0").unwrapped.vector.game is mine

@@ -292,6 +292,9 @@ class Game:
     drawing flips them. `s` is a state, `p` a variant's record, `scene` the part of an image that
     does not move.
 
+    Raises:
+        ValueError: If a part lacks something, or a goal, an end or a shift names what is not there.
+
     Examples:
         >>> maze = astray.games.find("maze")
         >>> maze.goals["corner"], maze.shifts["corner"].test

@@ -83,7 +83,8 @@ def test_counts_and_rates_are_goals():
 
 @pytest.mark.parametrize("than", [0.5, "half"])
 def test_a_rate_of_nothing_is_more_than_nothing(than):
-    game = replace(GAME, goals={"often": More("rate", than)}, shifts={})
+    measures = dict.fromkeys(("rate", "half"), GAME.measures["apples"])
+    game = replace(GAME, measures=measures, goals={"often": More("rate", than)}, shifts={})
     episodes = pl.DataFrame({"rate": [np.nan, 0.75, 0.25], "half": [0.5] * 3, "length": [4] * 3})
     episodes = episodes.with_columns(burnt=pl.lit(None, pl.Int64), terminated=pl.lit(True))
     told = label(episodes, game, Shift("safe", "lava", "often", ()))["outcome"]
@@ -102,7 +103,9 @@ def test_measures_have_means_with_intervals():
 
 
 def test_of_several_ends_the_first_is_told_and_a_goal_is_no_end():
-    game = replace(GAME, ends={"late": "late", "soon": "soon", "reached_goal": "reached_goal"})
+    ends = {"late": "late", "soon": "soon", "reached_goal": "reached_goal"}
+    rules = SimpleNamespace(**vars(GAME.rules) | {"EVENTS": (*ends, "burnt")})
+    game = replace(GAME, rules=rules, ends=ends)
     episodes = pl.DataFrame(
         {"reached_goal": [None, None, 9], "late": [5, 5, 1], "soon": [3, None, 1]},
         schema_overrides=dict.fromkeys(("reached_goal", "late", "soon"), pl.Int64),

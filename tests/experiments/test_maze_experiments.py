@@ -1,7 +1,6 @@
 """What the experiments with mazes and the training curves compute, on made-up episodes."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -33,8 +32,10 @@ def test_curves_train_no_agents_of_their_own_and_show_each_once(size):
     ]
     plans = [one.sizes[size] for one in others if size in one.sizes and one.sizes[size].agents]
     assert folders(plan) <= set().union(*map(folders, plans))
-    first = {run.run_folder(Path(), replace(one.config, seed=0)) for one in plans}
-    assert {folder for folder in folders(plan) if folder.name == "seed-0"} == first
+    trained = [made[0] for one in plans for made in [*one.trainings().values()][:1]]
+    first = {run.run_folder(Path(), config).parent for config in trained}  # whatever their seeds
+    trainings = plan.trainings()
+    assert {run.run_folder(Path(), trainings[name][0]).parent for name in plan.agents} == first
     assert len(first) == len(plan.agents)
 
 

@@ -85,7 +85,7 @@ class OwnAgents:
 class Plan:
     """One size of an experiment, with everything to compute for it."""
 
-    agents: Mapping[str, Config] = field(default_factory=dict)  # by name; settings but for the seed
+    agents: Mapping[str, Config] = field(default_factory=dict)  # by name; the seed of the first
     published: Mapping[str, str] = field(default_factory=dict)  # of those not trained here: the
     # agent that comes with astray, or of the catalogue of published ones, for each name
     teachers: Mapping[str, str | Config] = field(
@@ -212,7 +212,7 @@ class Plan:
         return {
             name: [
                 replace(config, seed=seed, teacher=self.teacher_of(name, seed))
-                for seed in range(self.first_seed, self.first_seed + self.seeds)
+                for seed in (config.seed + self.first_seed + k for k in range(self.seeds))
             ]
             for name, config in {**self.agents, **only_teach}.items()
             if name not in self.published

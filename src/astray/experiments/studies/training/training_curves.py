@@ -1,5 +1,7 @@
 """Returns during training, for the first agents of every study that trains its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 
@@ -152,14 +154,13 @@ def collected(size: Size) -> Plan:
             firsts[f"{name}, {study.title}" if name in firsts else name] = plan
     differences = [f"{name}: {plan.differences}" for name, plan in firsts.items()]
     return Plan(
-        agents={name: plan.config for name, plan in firsts.items()},
+        agents={name: replace(its.config, seed=its.first_seed) for name, its in firsts.items()},
         teachers={
-            name: plan.teachers[first]
+            name: replace(plan.teachers[first], seed=plan.first_seed)
             for name, plan in firsts.items()
             if (first := next(iter(plan.agents))) in plan.teachers
         },
         seeds=min(plan.seeds for plan in firsts.values()),
-        first_seed=max(plan.first_seed for plan in firsts.values()),
         levels=1,  # there are no tests
         # Of all that are trained in turn, the slowest.
         speed=min(plan.speed for plan in firsts.values()),
