@@ -15,6 +15,7 @@ from astray.experiments.studies.maze import colour_or_shape, maze_corner, maze_r
 from astray.figures import charts
 from astray.report.claims import Claim, above
 from astray.report.findings import Findings, Plot, Table
+from astray.training.config import Config
 
 # The other studies of CoinRun have the runners of this one.
 STUDIES = (
@@ -156,9 +157,9 @@ def collected(size: Size) -> Plan:
     return Plan(
         agents={name: replace(its.config, seed=its.first_seed) for name, its in firsts.items()},
         teachers={
-            name: replace(plan.teachers[first], seed=plan.first_seed)
+            name: replace(teacher, seed=plan.first_seed)
             for name, plan in firsts.items()
-            if (first := next(iter(plan.agents))) in plan.teachers
+            if isinstance(teacher := plan.teachers.get(next(iter(plan.agents))), Config)
         },
         seeds=min(plan.seeds for plan in firsts.values()),
         levels=1,  # there are no tests
