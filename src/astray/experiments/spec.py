@@ -85,20 +85,18 @@ class OwnAgents:
 class Plan:
     """One size of an experiment, with everything to compute for it."""
 
-    agents: Mapping[str, Config] = field(default_factory=dict)  # by name; the seed of the first
+    agents: Mapping[str, Config] = field(default_factory=dict)  # by name; all but the seed
     published: Mapping[str, str] = field(default_factory=dict)  # of those not trained here: the
     # agent that comes with astray, or of the catalogue of published ones, for each name
-    teachers: Mapping[str, str | Config] = field(
-        default_factory=dict
-    )  # of students, by name: which
-    # agents of the plan they are distilled from, or those that only teach, by their settings; each
-    # from that of its own seed
+    # Of students, by name: which agents of the plan they are distilled from, each from that of its
+    # own seed, or the settings of agents that are trained to teach alone.
+    teachers: Mapping[str, str | Config] = field(default_factory=dict)
     world: World | Game | None = None  # that `own` agents play; then there are no others
     own: Mapping[str, OwnAgents] = field(default_factory=dict)  # by name
     first_level: int | None = None  # of all tests; None: those that no agent has met, or for `own`
     # agents those from `OWN_LEVELS` on
     seeds: int = 1  # agents of each name
-    first_seed: int = 0
+    first_seed: int = 0  # after that in the settings
     tests: Mapping[str, Test] = field(default_factory=dict)  # by name; all agents are played in all
     visited: Mapping[str, Test] = field(default_factory=dict)  # by name; what the experiment itself
     # looks at states of

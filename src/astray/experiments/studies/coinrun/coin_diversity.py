@@ -236,7 +236,7 @@ def plan(size: Size, fractions: tuple[int, ...], seeds: int, levels: int) -> Pla
         agents={name: replace(agent, knobs=agent.knobs | its) for name, its in knobs.items()},
         teachers=_agents.teachers(size, knobs),
         seeds=seeds,
-        first_seed=_agents.FIRST[size] if size == "night" else 0,
+        first_seed=0 if size == "smoke" else _agents.FIRST.get(size, 0),  # as kept agents have
         tests=TESTS,
         levels=levels,
         differences=fewer + _agents.DIFFERENCES[size],
