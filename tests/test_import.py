@@ -1,6 +1,5 @@
 """Importing astray creates nothing and sets nothing, whichever of its modules it is."""
 
-import importlib
 import json
 import os
 import pkgutil
@@ -10,7 +9,6 @@ import sys
 import pytest
 
 import astray
-from astray.validation import OldName
 
 # Modules that are no part of the public: tests, and what runs a program.
 MODULES = sorted(
@@ -122,20 +120,3 @@ def test_functions_of_the_users_own_are_kept_where_numba_keeps_them(tmp_path):
     assert said.strip() == str(tmp_path / "__pycache__")
     assert len(list((tmp_path / "__pycache__").glob("users.*.nbc"))) == 1
     assert not (tmp_path / ".cache").exists()
-
-
-@pytest.mark.parametrize(
-    "module, old, new",
-    [
-        ("astray.analysis.estimates", "less", "minus"),
-        ("astray.analysis.outcomes", "shares", "rates"),
-        ("astray.experiments.outcomes", "share", "rate"),
-        ("astray.insight.attribution", "shares", "fractions"),
-    ],
-)
-def test_functions_are_found_by_their_old_names_with_a_note(module, old, new):
-    found = importlib.import_module(module)
-    with pytest.warns(OldName, match=rf"{module}\.{old} is now {new}; a later version"):
-        assert getattr(found, old) is getattr(found, new)
-    with pytest.raises(AttributeError, match=rf"module '{module}' has no 'portion'"):
-        _ = found.portion

@@ -328,12 +328,14 @@ def steps(
     n = min(batch, count)
     env = without_autoreset(game, variant, n, policy.observation, policy.art, longest)
     stage = LevelByLevel(env, levels, until, longest)
-    played, told = 0, time.monotonic()
+    played, told, silent = 0, time.monotonic(), longest is None
     for step in play(Asking(policy), stage):
         played += int(step.ended.sum())
-        if count > 1 and step.ended.any() and time.monotonic() - told > EVERY:
-            told = time.monotonic()
-            LOG.info("%d of %d levels played", played, count)
+        due = step.ended.any() or (silent and not played)
+        if due and time.monotonic() - told > EVERY:
+            told, silent = time.monotonic(), False
+            took = f" in {step.after['time'].max()} steps: --longest N truncates episodes"
+            LOG.info("%d of %d levels played%s", played, count, "" if played else took)
         yield step
     stage.close()
 

@@ -5,10 +5,9 @@ import math
 import re
 import reprlib
 import shlex
-import sys
 import typing
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -104,25 +103,6 @@ def renamed(data: Any, names: Mapping[str, str], where: str) -> Any:
         said = f"{where} says {old!r}; this is now {names[old]!r}; a later version will not read it"
         warnings.warn(said, OldName, stacklevel=2)
     return {names.get(name, name): value for name, value in data.items()}
-
-
-def older_names(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return a module's `__getattr__` that finds functions by their old names, with a note.
-
-    Args:
-        module: Name of the module.
-        names: New names by old ones; the result raises AttributeError for all others.
-    """
-
-    def find(name: str) -> Any:
-        if name not in names:
-            raise AttributeError(f"module {module!r} has no {name!r}")
-        new = names[name]
-        said = f"{module}.{name} is now {new}; a later version will not have the old name"
-        warnings.warn(said, OldName, stacklevel=2)
-        return getattr(sys.modules[module], new)
-
-    return find
 
 
 def shown(given: Any, most: int = 80) -> str:

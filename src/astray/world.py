@@ -234,10 +234,7 @@ class World:
         if art != OWN:
             raise ValueError(f"unknown art {shown(art)} of {self.name}; there are: {OWN}")
 
-    @property
-    def event_goals(self) -> dict[str, str]:
-        """The goals that are events, without those that are known only at an episode's end."""
-        return {goal: event for goal, event in self.goals.items() if isinstance(event, str)}
+    event_goals = Game.event_goals
 
     @property
     def walked(self) -> tuple[str, ...]:

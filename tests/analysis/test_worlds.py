@@ -214,6 +214,35 @@ def test_observations_without_a_number_are_told(workers):
         evaluate(RIGHT, world, "end", [3, 4], batch=2)
 
 
+def test_observations_of_several_parts_without_a_number_are_told():
+    def first(seen):
+        return np.ones(len(seen["room"]), int)
+
+    table = evaluate(Function(first, "first"), troubled("parts"), "end", [3, 4])
+    assert table["terminated"].all()
+    for repeats in (False, True):
+        with pytest.raises(ValueError, match="level 3, step 3: the observation has NaN"):
+            play(Function(first, "first"), troubled("blurred parts", repeats=repeats))
+
+
+def play(policy, world):
+    return evaluate_policies([policy], world, "end", [3, 4], variant="end")
+
+
+@pytest.mark.parametrize("workers", [False, True])
+def test_observations_outside_their_space_are_told_once(workers, caplog):
+    world = troubled("bright", workers=workers, name=f"bright room {workers}")
+    said = f"observations of bright room {workers} are not all in Box(0.0, 1.0, (2, 9), float32)"
+    for _ in range(2):
+        play(RIGHT, world)
+    assert caplog.messages == [said]
+
+
+def test_actions_of_several_parts_are_refused_before_the_first_step():
+    with pytest.raises(ValueError, match=r"actions of room end must be numbers or .*; got Tuple"):
+        play(RIGHT, troubled("two answers"))
+
+
 @pytest.mark.waits
 def test_a_process_that_hangs_where_it_closes_is_ended():
     world = troubled("stays", workers=True, patience=1.0)
@@ -230,6 +259,18 @@ def test_an_episode_without_end_is_left_after_the_longest(monkeypatch):
     with pytest.raises(ValueError, match="after 500 steps") as told:
         evaluate(left, troubled("endless", workers=True), "end", LEVELS[:1])
     assert told.tb and not multiprocessing.active_children()  # which would end with tracebacks
+
+
+def test_episodes_none_of_which_ends_are_told_before_they_are_refused(monkeypatch, caplog):
+    monkeypatch.setattr(acting, "OF_WORLD", 500)
+    monkeypatch.setattr(acting, "EVERY", 0.0)
+    caplog.set_level("INFO", "astray.acting")
+    left = Function(lambda seen: np.zeros(len(seen), int), "left")
+    with pytest.raises(ValueError, match="after 500 steps"):
+        evaluate(left, troubled("endless"), "end", LEVELS[:2])
+    assert caplog.messages == ["0 of 2 levels played in 1 steps: --longest N truncates episodes"]
+    evaluate(left, troubled("endless"), "end", LEVELS[:2], longest=30)
+    assert caplog.messages[1:] == ["2 of 2 levels played"]
 
 
 def test_what_a_world_names_must_be_there():

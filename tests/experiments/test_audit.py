@@ -1,5 +1,6 @@
 """One command writes the report of one agent on one shift."""
 
+import html
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 
 from astray.analysis.adapters import Function
 from astray.experiments.audit import FIRST, audit
-from helpers.rooms import CELLS, WORLD, Room, go_right
+from helpers.rooms import CELLS, WORLD, Room, each_step, go_right
 
 RIGHT = Function(go_right, "right")
 
@@ -44,6 +45,28 @@ def test_an_audit_tells_the_returns_of_further_rewards(astray, tmp_path):
     taken = lengths.filter(test="in the test", policy="sampled")["length"].mean()
     assert mine.filter(reward="each_step")["mean"].item() == pytest.approx(taken)
     assert mine["reward"].to_list() == ["return", "each_step"]
+
+
+def test_an_audit_tells_the_call_that_repeats_it(tmp_path):
+    page = audit(
+        RIGHT, WORLD, "end", levels=9, longest=3, folder=tmp_path, rewards={"steps": each_step}
+    )
+    call = (
+        f"astray.audit(agent=<right>, game=<room>, shift='end', levels=9, "
+        f"rewards={{'steps': <each_step>}}, longest=3, folder={str(tmp_path)!r})"
+    )
+    assert call in html.unescape(page.read_text("utf-8"))
+    (table,) = page.parent.glob("computed/episodes-*.parquet")
+    assert pl.read_parquet(table)["length"].max() == 3
+
+
+def test_endless_episodes_are_audited_up_to_the_longest(astray, tmp_path):
+    words = ("--policy", "helpers.rooms:go_left", "--world", "helpers.rooms:ENDLESS")
+    words = ("audit", *words, "--shift", "end", "--num-levels", "2", "--folder", tmp_path)
+    page = Path(astray(*words, "--longest", "20").strip())
+    (table,) = page.parent.glob("computed/episodes-*.parquet")
+    told = pl.read_parquet(table).filter(policy="sampled")
+    assert set(told["length"]) == {20} and not told["terminated"].any()
 
 
 def test_another_policy_of_the_same_name_is_played_anew(tmp_path):

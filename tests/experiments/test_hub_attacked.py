@@ -126,6 +126,27 @@ def test_what_is_sent_is_no_more_than_was_said(hub, tmp_path, headers, said):
     assert outside(tmp_path) in (["agents", "mine"], ["mine"])
 
 
+@pytest.mark.parametrize(
+    "wrong, given, said",
+    [
+        ("sent", {"Content-Length": "5"}, "cannot be pulled: .* should be of size [0-9]+ but has"),
+        ("said", [{"X-Linked-Size": "7"}] * 9, "cannot be pulled: .* should be of size 7 but has"),
+        (
+            "missing",
+            {"X-Error-Code": "GatedRepo"},
+            "cannot be pulled: the Hub says 404: .*resolve/main/digests",
+        ),
+    ],
+)
+def test_a_refusal_is_one_line_without_the_librarys_advice(hub, wrong, given, said):
+    setattr(hub, wrong, given)
+    if wrong == "missing":
+        hub.repositories["ada/mouse"].commit("main", {})
+    with pytest.raises(OSError, match=f"^ada/mouse {said}") as told:
+        ours.pull("ada/mouse")
+    assert len(str(told.value).splitlines()) == 1 and "information" not in str(told.value)
+
+
 def test_a_hub_that_sends_a_byte_now_and_then_is_not_waited_for(hub, tmp_path, monkeypatch):
     monkeypatch.setattr(download, "WAIT", 0.5)
     hub.drips = 1, 0.01

@@ -4,6 +4,7 @@ import itertools
 import multiprocessing
 import os
 import time
+from dataclasses import replace
 from functools import partial
 
 import gymnasium
@@ -14,6 +15,7 @@ from astray.game import Shift, Truncated
 from astray.world import World
 
 CELLS, LIMIT = 9, 12
+PARTS = "parts", "blurred parts"  # troubles
 DRAWN = itertools.count()  # of an environment that draws by anything else than its seed
 
 
@@ -29,6 +31,10 @@ class Room(gymnasium.Env):
         self.render_mode = render_mode
         if trouble == "spaceless":
             self.observation_space = None
+        if trouble == "two answers":
+            self.action_space = gymnasium.spaces.Tuple([self.action_space] * 2)
+        if trouble in PARTS:
+            self.observation_space = gymnasium.spaces.Dict(room=self.observation_space)
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -68,6 +74,11 @@ class Room(gymnasium.Env):
         seen[0, self.x] = seen[1, self.square] = 1
         if self.trouble == "blurs" and self.time == 3:
             seen[1, 4] = np.nan
+        if self.trouble == "bright":
+            seen[1, 4] = 2 * (self.time == 3)
+        if self.trouble in PARTS:
+            blurred = self.trouble == "blurred parts" and self.time == 3
+            return {"room": seen * np.float32(np.nan if blurred else 1)}
         speaks = self.trouble == "speaks" or (self.trouble == "murmurs" and self.time == 3)
         seen = seen.astype(str) if speaks else seen
         return seen[:, :3] if self.trouble == "shrinks" and self.time == 3 else seen
@@ -112,6 +123,11 @@ def go_right(seen):
     return np.ones(len(seen), int)
 
 
+def go_left(seen):
+    """Another one."""
+    return np.zeros(len(seen), int)
+
+
 def each_step(step):
     """A reward for the command line: 1 in every step."""
     return np.ones(len(step.rewards))
@@ -133,4 +149,7 @@ WORLD = World(
     ends={"time ran out": Truncated()},
     experts={"square": to_square, "end": to_end},
     measures={"walked": walked},
+)
+ENDLESS = replace(
+    WORLD, variants={v: partial(Room, place="end", trouble="endless") for v in WORLD.variants}
 )

@@ -137,11 +137,14 @@ def test_what_has_no_label_does_not_count(mouse, states):
 
 
 def test_a_reading_stands_beside_the_truth(mouse, states):
-    table = probes.read(mouse, SMALL, states, states[:1], ["features.relu1"], MAZE.labels)
+    given = (mouse, SMALL, states, states[:1], ["features.relu1"])
+    table = pl.DataFrame([*probes.readings(*given, MAZE.labels)])
     row = table.filter(label="cheese steps").row(0, named=True)
     assert row["true"] == measures.steps(states[:1], "cheese")[0]
     columns = {"label", "layer", "read", "true", "read as", "true as", "score"}
     assert set(table.columns) == columns
+    with pytest.raises(ValueError, match="a label needs two classes of 20 states, or 20 numbers"):
+        next(probes.readings(*given, {"never": lambda s: s["level"] < 0}))
 
 
 def test_without_scikit_learn_it_is_told_what_to_install(mouse, states, monkeypatch):

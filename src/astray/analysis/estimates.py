@@ -23,9 +23,8 @@ import numpy as np
 import polars as pl
 
 from astray.estimate import Estimate
-from astray.validation import of_kind, older_names
+from astray.validation import of_kind
 
-__getattr__ = older_names(__name__, {"less": "minus"})
 CONFIDENCE = 0.95
 POWER = 0.8
 

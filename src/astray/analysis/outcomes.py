@@ -18,10 +18,9 @@ from astray.estimate import Estimate
 from astray.game import Game, More, Never, Outcome, Shift, Truncated, Variant
 from astray.outcome import FAILED, INTENDED, MISGENERALIZED
 from astray.outcome import OUTCOMES as OUTCOMES
-from astray.validation import of_kind, older_names, one_of, shown
+from astray.validation import of_kind, one_of, shown
 from astray.world import World, WorldVariant
 
-__getattr__ = older_names(__name__, {"shares": "rates"})
 REACHED_NEITHER = ~pl.col("outcome").is_in([INTENDED, MISGENERALIZED])  # an end or a failure
 
 

@@ -37,6 +37,7 @@ Preset = Literal["paper", "night", "small", "pixels"]
 Words = tuple[tuple[str, ...], ...]
 
 # Options of several verbs.
+SET: Any = {"name": "set", "metavar": "NAME=VALUE"}
 AN_AGENT = "Run folder, checkpoint in one, or name of a pretrained or imported agent."
 Agent = Positional[Annotated[Path, arg(help=AN_AGENT)]]
 Json = Annotated[bool, arg(help="Print the result as JSON.")]
@@ -44,19 +45,10 @@ Rewards = Annotated[
     tuple[str, ...],
     otherwise("none", "Rewards of your own, as module:function, to tell the mean returns of, too."),
 ]
-Knobs = UseAppendAction[
-    Annotated[
-        Words, arg(name="set", metavar="NAME=VALUE", help="Override a parameter of the variant.")
-    ]
-]
+Knobs = UseAppendAction[Annotated[Words, arg(**SET, help="Override a parameter of the variant.")]]
 Settings = UseAppendAction[
     Annotated[
-        Words,
-        arg(
-            name="set",
-            metavar="NAME=VALUE",
-            help="Override a parameter of the variant, or a setting of the training.",
-        ),
+        Words, arg(**SET, help="Override a parameter of the variant, or a setting of the training.")
     ]
 ]
 NUMBERS = "Level numbers and ranges, such as 5,17,100:200."

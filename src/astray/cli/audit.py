@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from astray import imports
-from astray.cli.arguments import AN_AGENT, Acting, Knobs, OwnPolicy, Rewards, Shift, pairs
+from astray.cli.arguments import AN_AGENT, Acting, Knobs, Longest, OwnPolicy, Rewards, Shift, pairs
 from astray.training.settings import otherwise
 from astray.validation import command_of
 
@@ -21,6 +21,7 @@ def audit(
     levels: Annotated[int, arg(name="num_levels")] = 1000,
     knobs: Knobs = (),
     rewards: Rewards = (),
+    longest: Longest = None,
     acting: Acting = Acting(),
     policy: OwnPolicy = OwnPolicy(),
     folder: Path = Path("reports"),
@@ -38,9 +39,9 @@ def audit(
     """
     from astray.experiments.audit import audit as write
 
-    command = command_of("astray", *sys.argv[1:])
     how: dict[str, Any] = {"ghost": ghost, "levels": levels, "knobs": pairs(knobs)}
-    how |= {"rewards": imports.find_each(rewards), "folder": folder, "command": command}
+    how |= {"rewards": imports.find_each(rewards), "folder": folder, "longest": longest}
+    how["command"] = command_of("astray", *sys.argv[1:])
     if policy.replaces(agent, {"--shift": shift}):
         print(write(policy.make(acting), policy.rules(), shift, **how))
     else:

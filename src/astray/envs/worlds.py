@@ -1,13 +1,14 @@
 """Vector environments of a `World`, the counterpart of `GameVectorEnv`."""
 
 import contextlib
+import logging
 import math
 import multiprocessing
 import threading
 import warnings
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from astray.validation import MOST, bounded, shown
 from astray.witness import NOTED, witnessed
 from astray.world import World, WorldVariant
 
+_tell = cache(logging.getLogger("astray").warning)  # each text once
 # Gymnasium's warnings of an error in a process, which it also raises.
 RECEIVED = r"(?s).*ERROR: (Received the following|Traceback|Raising the last)"
 
@@ -53,7 +55,16 @@ class WorldVectorEnv:
         )
         self.single_action_space = self._envs.single_action_space
         self.single_observation_space = self._envs.single_observation_space
-        self._floats = getattr(self.single_observation_space.dtype, "kind", None) == "f"
+        space = self.single_observation_space
+        if self.single_action_space.shape is None:
+            raise ValueError(
+                f"actions of {self.variant} must be numbers or arrays: Discrete, Box, "
+                f"MultiDiscrete or MultiBinary; got {shown(self.single_action_space)}"
+            )
+        # Images of bytes are in their space; to look takes as long as a quick environment's step.
+        self._trusted = space.dtype == np.uint8 and space == spaces.Box(
+            0, 255, space.shape, np.uint8
+        )
         self.states = np.zeros(num_envs, world.state).view(np.recarray)
 
     def reset(
@@ -158,15 +169,24 @@ class WorldVectorEnv:
             self.states[name][which] = values[which]
 
     def _check_numbers(self, seen: Any) -> None:
-        """Raise ValueError if an observation has NaN, with which networks compute only NaN."""
-        # A sum is finite if all numbers are, and takes a tenth of the time of looking at each.
-        if self._floats and not math.isfinite(seen.sum(dtype=np.float64)):
-            wrong = np.isnan(seen.reshape(self.num_envs, -1)).any(1)
-            if wrong.any():
-                level, time = (self.states[name][wrong][0] for name in ("level", "time"))
-                raise ValueError(
-                    f"{self.variant}, level {level}, step {time}: the observation has NaN"
-                )
+        """Raise ValueError if an observation has NaN, with which networks compute only NaN.
+
+        Warn once if it is in another way outside the space.
+        """
+        for part in _arrays(seen):
+            # A sum is finite if all numbers are, and takes a tenth of the time of looking at each.
+            if part.dtype.kind == "f" and not math.isfinite(part.sum(dtype=np.float64)):
+                wrong = np.isnan(part.reshape(self.num_envs, -1)).any(1)
+                if wrong.any():
+                    level, time = (self.states[name][wrong][0] for name in ("level", "time"))
+                    raise ValueError(
+                        f"{self.variant}, level {level}, step {time}: the observation has NaN"
+                    )
+        if self._trusted or self._envs.observation_space.contains(seen):
+            return
+        self._trusted = True
+        space = self.single_observation_space
+        _tell(f"observations of {self.game.name} are not all in {space}")
 
     def _check_actions(self, actions: Any) -> None:
         space, n = self.single_action_space, self.num_envs
@@ -215,6 +235,15 @@ class WorldVectorEnv:
     def _give_up(self) -> None:
         self._kill()
         self._envs.closed = True  # to Gymnasium, which would wait for what is pending
+
+
+def _arrays(seen: Any) -> Iterator[np.ndarray]:
+    """Yield the arrays [N, ...] of observations; those of a Dict or Tuple have several."""
+    if isinstance(seen, Mapping | tuple):
+        for part in seen.values() if isinstance(seen, Mapping) else seen:
+            yield from _arrays(part)
+    elif isinstance(seen, np.ndarray):
+        yield seen
 
 
 def check_reported(world: World) -> None:

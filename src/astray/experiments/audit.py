@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from astray.record import LEVELS
 from astray.report.findings import Findings, Table
 from astray.training.config import Config
 from astray.training.folders import AgentFolder, name_of
-from astray.validation import bounded, one_of
+from astray.validation import bounded, one_of, shown
 from astray.world import World
 
 FIRST = 1_000_000  # of the levels, which agents of others are assumed not to know
@@ -41,6 +42,7 @@ def audit(
     first_level: int = FIRST,
     knobs: Mapping[str, Any] | None = None,
     rewards: Mapping[str, Reward] | None = None,
+    longest: int | None = None,
     mode: Mode = "sampled",
     art: str | None = None,
     folder: str | Path = "reports",
@@ -65,6 +67,7 @@ def audit(
         knobs: Changed parameters of the test variant, and of the ghost.
         rewards: Further rewards, whose returns in the same episodes are compared, as for
             `evaluate`.
+        longest: Steps after which an episode is truncated; None for no limit.
         mode: "sampled" samples an agent's actions, "greedy" takes the most likely.
         art: Art of an agent's images; None for that of its training.
         folder: Folder of reports; gets this one in audit-<agent>-<shift>-smoke.
@@ -73,6 +76,7 @@ def audit(
     Raises:
         ValueError: If the agent, shift, ghost or a knob does not exist, or a policy lacks its game.
     """
+    called = _call(locals())
     config, load, path, name = _opened(agent, folder, mode, art)
     if config is None and (game is None or shift is None):
         raise ValueError("the audit of a policy needs its game or World, and a shift")
@@ -100,15 +104,32 @@ def audit(
         },
         levels=levels,
         rewards=rewards or {},
+        longest=longest,
         differences="",
     )
     goals = f"{between.intended} or {' or '.join(between.proxies)}"
     study = Experiment(
         f"Audit {name} {named}", "", f"Does {name} pursue {goals}?", {SIZE: plan}, findings,
-        command=command or f"astray.audit({agent!r:.60}, {played.name!r}, {named!r})",
+        command=command or called,
     )  # fmt: skip
     with contextlib.nullcontext() if config else hold(path, "audits in"):
         return reproduce(study, SIZE, Path(folder))
+
+
+def _call(given: Mapping[str, Any]) -> str:
+    """Return the call of `audit` with these arguments, where objects are <their names>."""
+    usual = {name: one.default for name, one in signature(audit).parameters.items()}
+    words = [f"{name}={_word(one)}" for name, one in given.items() if one != usual[name]]
+    return f"astray.audit({', '.join(words)})"
+
+
+def _word(given: Any) -> str:
+    if isinstance(given, Mapping):
+        return "{" + ", ".join(f"{key!r}: {_word(one)}" for key, one in given.items()) + "}"
+    if isinstance(given, str | Path):
+        return repr(str(given))
+    name = getattr(given, "name", getattr(given, "__name__", None))
+    return f"<{name}>" if name else shown(given)
 
 
 def _opened(

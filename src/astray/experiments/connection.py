@@ -165,7 +165,8 @@ def reached(repository: str, revision: str | None, what: str, lacking: str) -> I
         ) from error
     except errors.HfHubHTTPError as error:
         status = error.response.status_code
-        message = f"{of} cannot be {what}: the Hub says {status}: {brief(error).splitlines()[-1]}"
+        *_, said = (line for line in brief(error).splitlines() if "more information" not in line)
+        message = f"{of} cannot be {what}: the Hub says {status}: {said}"
         if status in (401, 403):
             raise PermissionError(f"{message}; see hf auth login, or HF_TOKEN") from error
         raise OSError(message) from error
@@ -174,6 +175,10 @@ def reached(repository: str, revision: str | None, what: str, lacking: str) -> I
             f"{of} cannot be {what}: the connection failed ({brief(error)}); the same command "
             "goes on with what has arrived"
         ) from error
+    except OSError as error:
+        if len(lines := str(error).splitlines()) < 2:
+            raise
+        raise OSError(f"{of} cannot be {what}: {lines[0]}") from error  # advice of the library's
     finally:
         library.setLevel(before)
 

@@ -55,7 +55,7 @@ def check_tests(plan: Plan) -> None:
         levels_of(plan, test)
     for name, test in plan.tests.items():
         variant = plan.variant_of(test)
-        check_ending(plan.game, variant, None)
+        check_ending(plan.game, variant, plan.longest)
         for agent, config in plan.agents.items():
             if config.observation == "symbolic" and not isinstance(plan.game, World):
                 planes = plan.game.symbols.planes
@@ -84,6 +84,7 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
     parts = []
     for name, test in plan.tests.items():
         variant = plan.variant_of(test)
-        played = play_all(plan.game, test.name, variant, test.shift, levels[name], players, **how)
+        given = (variant, test.shift, levels[name], players)
+        played = play_all(plan.game, test.name, *given, longest=plan.longest, **how)
         parts.append(played.with_columns(test=pl.lit(name)))
     return pl.concat(parts).join(owners, on="run", how="left", maintain_order="left")

@@ -32,10 +32,9 @@ from astray.report.learning import learning_curves
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.folders import read_config
-from astray.validation import brief, older_names
+from astray.validation import brief
 from astray.world import World, WorldVariant
 
-__getattr__ = older_names(__name__, {"share": "rate"})
 STREAMS = (
     "the environments choose their levels, so that none is played again, and nothing is compared "
     "level by level"

@@ -293,7 +293,7 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
         },
         "tests": {name: asdict(test) for name, test in plan.tests.items()},
         "visited": {name: asdict(test) for name, test in plan.visited.items()},
-        "levels": [plan.first_level, plan.levels],
+        "levels": [plan.first_level, plan.levels, plan.longest],
         "measures": [*plan.measures, *plan.rewards],
         "pretrained": [agent_digest(folders.find(name)) for name in folders.pretrained()],
         "resolved": resolved(plan),

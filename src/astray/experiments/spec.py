@@ -104,6 +104,7 @@ class Plan:
     differences: str  # from the paper, in words; empty where there is none
     measures: Mapping[str, Measure] = field(default_factory=dict)  # of an episode's last state
     rewards: Mapping[str, Reward] = field(default_factory=dict)  # further ones, of all episodes
+    longest: int | None = None  # steps after which an episode is truncated; None for no limit
     speed: int = 0  # environment steps that a core trains with in a second, as measured; 0: unknown
 
     def __post_init__(self) -> None:

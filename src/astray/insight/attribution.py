@@ -23,9 +23,8 @@ from astray.analysis.critic import Edit, observe
 from astray.analysis.trained import Agent, Model, Network, check_network
 from astray.envs.vector import IMAGE
 from astray.game import Variant
-from astray.validation import MOST, bounded, of_kind, older_names
+from astray.validation import MOST, bounded, of_kind
 
-__getattr__ = older_names(__name__, {"shares": "fractions"})
 CHUNK = 64  # observations at a time
 REST, NOTHING = "rest", "nothing"  # parts that are what no other is
 

@@ -309,7 +309,8 @@ def _probes(asked: Asked) -> list[Section]:
         raise ValueError(f"{game.name} has no labels that probes could look for")
     _, states = visit(asked.agent, asked.variant, asked.others, per_episode=4)
     here = np.array([asked.level.state(solvable=False)], game.state)
-    table = probes.read(asked.agent, asked.variant, states, here, asked.layers, game.labels)
+    given = (asked.agent, asked.variant, states, here, asked.layers, game.labels)
+    table = pl.DataFrame([*probes.readings(*given)])
     caption = (
         f"Linear probes of layers, fitted in {len(asked.others)} other levels: what they read at "
         "the beginning of this one, and in brackets how well they read levels that they were not "

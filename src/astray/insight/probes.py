@@ -229,32 +229,6 @@ def split(levels: np.ndarray, seed: int) -> np.ndarray:
     return ~np.isin(levels, test)
 
 
-def read(
-    agent: Model,
-    variant: str | Variant,
-    states: np.ndarray,
-    here: np.ndarray,
-    layers: Sequence[str],
-    labels: Mapping[str, Measure],
-) -> pl.DataFrame:
-    """Return readings of one state `here` [1] by probes fitted in `states` [N].
-
-    Columns: label, layer, read, true (null if undefined), both also as text by the names of classes
-    ("read as", "true as"), score (of a probe fitted on most levels, in the others).
-
-    Raises:
-        ImportError: If scikit-learn is not installed.
-        ValueError: If a layer is unknown or no label is left.
-    """
-    rows = [*readings(agent, variant, states, here, layers, labels)]
-    if not rows:
-        raise ValueError(
-            f"a label needs two classes of {LEAST} states, or {LEAST} numbers; none has them in "
-            f"these {len(states)} states"
-        )
-    return pl.DataFrame(rows)
-
-
 def readings(
     agent: Model,
     variant: str | Variant,
@@ -263,20 +237,30 @@ def readings(
     layers: Sequence[str],
     labels: Mapping[str, Measure],
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of `read` one by one, for `states` [N] and `here` [1]; each takes a while.
+    """Yield readings of one state `here` [1] by probes fitted in `states` [N]; each takes a while.
+
+    Keys: label, layer, read, true (None if undefined), both also as text by the names of classes
+    ("read as", "true as"), score (of a probe fitted on most levels, in the others).
 
     Raises:
         ImportError: If scikit-learn is not installed.
-        ValueError: If a layer is unknown.
+        ValueError: If a layer is unknown or no label is left.
     """
     check_measures(labels, ())
     need_sklearn()
     both = [observe(agent, variant, some) for some in (states, here)]
     given, shown = (activations(agent, some, layers) for some in both)
-    for label, measure in labels.items():
-        y, true = (measured(label, measure, some).to_numpy() for some in (states, here))
-        if not _enough(y):
-            continue
+    values = {
+        label: [measured(label, measure, some).to_numpy() for some in (states, here)]
+        for label, measure in labels.items()
+    }
+    if not (left := [label for label, (y, _) in values.items() if _enough(y)]):
+        raise ValueError(
+            f"a label needs two classes of {LEAST} states, or {LEAST} numbers; none has them in "
+            f"these {len(states)} states"
+        )
+    for label in left:
+        measure, (y, true) = labels[label], values[label]
         known = y >= 0 if is_class(y) else np.isfinite(y)
         has = true[0] >= 0 if is_class(true) else np.isfinite(true[0])
         kind, y = y.dtype, y.astype(np.int64) if is_class(y) else y

@@ -49,8 +49,8 @@ def above(
         told: Method that formats the estimate; `Estimate.percent` formats bounds too.
         why: Further evidence about the reason, shown if the claim is not supported.
     """
-    rule = f"supported if above {_bound(bound, told)}"
-    return _claim(sentence, paper, measured, estimate, (bound, math.inf), rule, told, why)
+    bounds = bound, math.inf
+    return within(sentence, paper, measured, estimate, bounds, told=told, why=why)
 
 
 def below(
@@ -64,8 +64,8 @@ def below(
     why: str = "",
 ) -> Claim:
     """Test the claim that a result is below `bound`; arguments as in `above`."""
-    rule = f"supported if below {_bound(bound, told)}"
-    return _claim(sentence, paper, measured, estimate, (-math.inf, bound), rule, told, why)
+    bounds = -math.inf, bound
+    return within(sentence, paper, measured, estimate, bounds, told=told, why=why)
 
 
 def within(
@@ -79,9 +79,11 @@ def within(
     why: str = "",
 ) -> Claim:
     """Test the claim that a result is between two bounds; arguments as in `above`."""
-    low, high = (_bound(bound, told) for bound in bounds)
-    rule = f"supported if between {low} and {high}"
-    return _claim(sentence, paper, measured, estimate, bounds, rule, told, why)
+    low, high = bounds
+    ours = f"{measured}: {told(estimate)}; supported if {_rule(low, high, told)}"
+    supported = bool(low < estimate.low and estimate.high < high)
+    chance = max(_chance(estimate, low, 1), _chance(estimate, high, -1))
+    return Claim(sentence, paper, ours, supported, why, chance)
 
 
 def near_zero(
@@ -99,8 +101,8 @@ def near_zero(
     It is an equivalence test (two one-sided tests). An interval that contains 0 shows nothing,
     since fewer data make that more likely.
     """
-    rule = f"supported if all of it is within {_bound(margin, told)} of 0"
-    return _claim(sentence, paper, measured, estimate, (-margin, margin), rule, told, why)
+    bounds = -margin, margin
+    return within(sentence, paper, measured, estimate, bounds, told=told, why=why)
 
 
 def every(sentence: str, paper: str, parts: Sequence[Claim], why: str = "") -> Claim:
@@ -159,25 +161,14 @@ def rounded(rate: float) -> str:
     return "none" if math.isnan(rate) else f"{100 * rate:.0f}\u00a0%"
 
 
-def _bound(bound: float, told: Callable[[Estimate], str]) -> str:
-    return f"{100 * bound:g}\u00a0%" if told is Estimate.percent else f"{bound:g}"
-
-
-def _claim(
-    sentence: str,
-    paper: str,
-    measured: str,
-    estimate: Estimate,
-    bounds: tuple[float, float],
-    rule: str,
-    told: Callable[[Estimate], str],
-    why: str,
-) -> Claim:
-    low, high = bounds
-    ours = f"{measured}: {told(estimate)}; {rule}"
-    supported = bool(low < estimate.low and estimate.high < high)
-    chance = max(_chance(estimate, low, 1), _chance(estimate, high, -1))
-    return Claim(sentence, paper, ours, supported, why, chance)
+def _rule(low: float, high: float, told: Callable[[Estimate], str]) -> str:
+    least, most = (
+        f"{100 * bound:g}\u00a0%" if told is Estimate.percent else f"{bound:g}"
+        for bound in (low, high)
+    )
+    if math.isinf(low) or math.isinf(high):
+        return f"above {least}" if math.isinf(high) else f"below {most}"
+    return f"all of it is within {most} of 0" if low == -high else f"between {least} and {most}"
 
 
 def _chance(estimate: Estimate, bound: float, sign: int) -> float:
