@@ -77,6 +77,8 @@ def resize(image: np.ndarray, height: int, width: int) -> np.ndarray:
 
 def _sum_blocks(rows: np.ndarray, count: int) -> np.ndarray:
     """Repeat each of `rows` [R, ...] `count` times and return the sums of `count` equal blocks."""
+    if len(rows) % count == 0:  # pictures of 64 pixels, mostly
+        return count * rows.reshape(count, -1, *rows.shape[1:]).sum(1)
     below = np.zeros((len(rows) + 1, *rows.shape[1:]), np.int64)
     np.cumsum(rows, axis=0, out=below[1:])
     # Block edges are multiples of R in a column of R * count; there, row `whole` begins

@@ -41,16 +41,7 @@ def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> 
     Raises:
         ValueError: If a level number or a drawn level is invalid.
     """
-    rules = games.find(game)
-    option, begin = beginnings(levels, rules.state)
-    env = GameVectorEnv(rules, variant, min(CHUNK, len(begin)), observation=quickest(rules))
-    found = []
-    for first in range(0, len(begin), env.num_envs):
-        some = np.arange(first, first + env.num_envs) % len(begin)
-        env.reset(seed=0, options={option: begin[some]})
-        found.append(env.get_state()[: len(begin) - first])
-    env.close()
-    return np.concatenate(found).view(np.recarray)
+    return np.concatenate([*in_chunks(game, variant, levels)]).view(np.recarray)
 
 
 def in_chunks(game: str | Game, variant: str | Variant, levels: Levels) -> Iterator[np.recarray]:
@@ -59,11 +50,14 @@ def in_chunks(game: str | Game, variant: str | Variant, levels: Levels) -> Itera
     Raises:
         ValueError: If a level number or a drawn level is invalid.
     """
-    is_named = isinstance(levels, Mapping)
-    every: Any = [*levels.items()] if is_named else level_numbers(levels)
-    for first in range(0, len(every), CHUNK):
-        some = every[first : first + CHUNK]
-        yield initial_states(game, variant, dict(some) if is_named else some)
+    rules = games.find(game)
+    option, begin = beginnings(levels, rules.state)
+    env = GameVectorEnv(rules, variant, min(CHUNK, len(begin)), observation=quickest(rules))
+    for first in range(0, len(begin), env.num_envs):
+        some = np.arange(first, first + env.num_envs) % len(begin)
+        env.reset(seed=0, options={option: begin[some]})
+        yield env.get_state()[: len(begin) - first].view(np.recarray)
+    env.close()
 
 
 def beginnings(levels: Levels, dtype: np.dtype) -> tuple[str, np.ndarray]:
