@@ -307,7 +307,7 @@ from astray.experiments import catalogue, run
 whole = catalogue.load("maze-corner")
 small = replace(whole, sizes={"smoke": miniature(whole.sizes["smoke"])})
 catalogue.load = lambda _: small
-run.reproduce("maze-corner", "smoke", pathlib.Path(sys.argv[1]))
+run.reproduce("maze-corner", "smoke", pathlib.Path(sys.argv[1]), workers=1)
 """
 TRAIN = """
 import pathlib, sys

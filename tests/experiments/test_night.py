@@ -11,6 +11,7 @@ from astray.experiments.workers import expected
 from astray.training.config import Config
 from astray.training.folders import AgentFolder
 from astray.training.levels import Growing
+from astray.training.loop import train
 from astray.training.teacher import TEACHER
 from helpers.trainings import TINY
 
@@ -75,7 +76,13 @@ def test_how_long_a_night_takes_can_be_told(name, tmp_path):
     assert f"about {max(hours, configs[0].steps / night.speed / 3600):.1f} hours with 2" in told
 
 
-def test_agents_that_only_teach_are_trained_first_and_are_in_no_table(tmp_path):
+def train_here(todo, *_):
+    for folder, config in todo.items():
+        train(config, folder, progress=False)
+
+
+def test_agents_that_only_teach_are_trained_first_and_are_in_no_table(tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "train_all", train_here)  # processes have tests of their own
     pupil = replace(TINY, levels=300, teacher="of the same seed", taught=0.5)
     teaching = replace(TINY, levels=300, width=8)
     plan = Plan(
@@ -105,5 +112,8 @@ def test_the_hours_are_told_before_the_first_training_begins(tmp_path, monkeypat
         raise KeyboardInterrupt
 
     monkeypatch.setattr(run, "train_all", stopped)
+    whole = catalogue.load("maze-corner")
+    plan = whole.sizes["night"]  # with fewer levels, as all of them are made before they are told
+    few = replace(plan, agents={"mouse": replace(plan.config, levels=1000)}, levels=10)
     with pytest.raises(KeyboardInterrupt):
-        run.reproduce("maze-corner", "night", Path(tmp_path))
+        run.reproduce(replace(whole, sizes={"night": few}), "night", Path(tmp_path))
