@@ -52,7 +52,7 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory() as folder:
         assert "maze-corner" in astray("list", folder=folder)
-        assert "#######" in astray("level", "maze", "corner-small", "--numbers", "7", folder=folder)
+        assert "#######" in astray("level", "maze", "corner-small", "--levels", "7", folder=folder)
         trained = astray(
             "train", "maze", "corner-small", "--validation", "anywhere-small", "--steps", "8192",
             "--num-envs", "32", "--num-steps", "32", "--minibatches", "4", folder=folder,

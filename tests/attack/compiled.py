@@ -243,7 +243,7 @@ def _trainings() -> dict[str, tuple[Callable[[Place], Any], Any]]:
     def validated(one: str, other: str, fused: bool, place: Place) -> Any:
         return place.astray("train", "maze", one, "--validation", other, "--num-envs", "4",
                             "--num-steps", "4", "--minibatches", "1", "--steps", "16", "--width",
-                            "4", "--fused-cpu", str(fused), "--folder", "there")  # fmt: skip
+                            "4", "--fused-cpu", str(fused), "--out", "there")  # fmt: skip
 
     def sampled(levels: Callable[[np.ndarray], Any], place: Place) -> Any:
         from dataclasses import replace

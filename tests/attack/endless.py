@@ -89,8 +89,8 @@ def _counts() -> dict[str, Callable[[Place], Any]]:
         place.copy("actions.txt")
         return place.astray(*given)
 
-    level = ("level", "maze", "corner-small", "--numbers")
-    tiny = ("train", "maze", "corner-small", "--folder", "there")
+    level = ("level", "maze", "corner-small", "--levels")
+    tiny = ("train", "maze", "corner-small", "--out", "there")
     found: dict[str, Callable[[Place], Any]] = {
         f"environments: {options}": functools.partial(made, options)
         for options in (
@@ -120,7 +120,7 @@ def _counts() -> dict[str, Callable[[Place], Any]]:
                 map(str, range(1, 20_000)))),
             ("sweep", "maze", "corner-small", "--set", "width=8", "--seeds", "100000000"),
             ("lab", "maze-corner", "--export", "page", "--num-levels", "1000000"),
-            ("explain", "maze-corner", "--others", "1000000"),
+            ("explain", "maze-corner", "--num-levels", "1000000"),
             ("level", "maze", "corner", "--set", "world=1000000"),
             ("level", "maze", "corner", "--set", "world=" + "9" * 5000),
             ("level", "maze", "corner", "--set", "time_limit=" + "[" * 100_000),

@@ -111,11 +111,11 @@ def _inside() -> dict[str, Callable[[Place], Told]]:
 
     def half(place: Place) -> Any:
         place.copy("half", "runs/seed-0")
-        return ("train", *TINY, "--folder", "runs")
+        return ("train", *TINY, "--out", "runs")
 
     def longer(place: Place) -> Any:
         place.copy("run", "runs/seed-0")
-        return ("train", *TINY, "--folder", "runs")
+        return ("train", *TINY, "--out", "runs")
 
     def report(place: Place) -> Any:
         place.copy("reports")
@@ -183,11 +183,11 @@ def _refused() -> dict[str, Callable[[Place], Told]]:
     return {
         f"refused: {' '.join(map(str, given))[:70]}": functools.partial(act, given)
         for given in (
-            ("train", *other, "--folder", "runs"), ("train", *TINY, "--folder", "run"),
-            ("train", *TINY, "--folder", "runs", "--track", "wandb", "--device", "cuda"),
-            ("keep", "run", "--as", "there", "--folder", "."),
-            ("keep", "run", "--as", "../there", "--folder", "runs"),
-            ("keep", "run", "--as", "mine", "--folder", ".", "--shift", "none"),
+            ("train", *other, "--out", "runs"), ("train", *TINY, "--out", "run"),
+            ("train", *TINY, "--out", "runs", "--track", "wandb", "--device", "cuda"),
+            ("keep", "run", "--as", "there", "--out", "."),
+            ("keep", "run", "--as", "../there", "--out", "runs"),
+            ("keep", "run", "--as", "mine", "--out", ".", "--shift", "none"),
             ("import", "agent.pth", "--as", "maze-corner", "--game", "maze", "--variant", "corner"),
             ("import", "agent.pth", "--as", "mine", "--game", "maze", "--variant", "none"),
             ("import", "run/config.json", "--as", "mine"), ("art", "import", "pictures.whl"),
@@ -198,8 +198,8 @@ def _refused() -> dict[str, Callable[[Place], Told]]:
             ("explain", "run", "--layers", "none", "--out", "new"),
             ("export", "run", "--levels", "0:2", "--out", "there"),
             ("lab", "run", "--export", "there"), ("lab", "none", "--export", "new"),
-            ("reproduce", "nothing.py", "--folder", "reports"), ("sweep", "maze", "none"),
-            ("distil", "run", "--variant", "none", "--folder", "new"),
+            ("reproduce", "nothing.py", "--out", "reports"), ("sweep", "maze", "none"),
+            ("distil", "run", "--variant", "none", "--out", "new"),
         )
     }  # fmt: skip
 

@@ -219,7 +219,7 @@ def _homes() -> dict[str, Callable[[Place], Any]]:
             place.mine(place.home / hidden / "checkpoints" / "1" / "agent.safetensors")
         place.copy("run")
         place.watch()
-        return place.astray("keep", "run", "--as", name, "--folder", place.home)
+        return place.astray("keep", "run", "--as", name, "--out", place.home)
 
     def imported(name: str, place: Place) -> Any:
         os.environ["ASTRAY_AGENTS"] = str(place.home)
@@ -245,7 +245,7 @@ def _homes() -> dict[str, Callable[[Place], Any]]:
             path.unlink()
         path.symlink_to(place.work / "home")
         place.watch()
-        return place.astray("train", *TINY, "--folder", "runs")
+        return place.astray("train", *TINY, "--out", "runs")
 
     def named(name: str, place: Place) -> Any:
         os.environ["ASTRAY_AGENTS"] = str(place.work / "agents")

@@ -105,7 +105,7 @@ def _code(made: Path) -> None:
 
 
 def _run(made: Path) -> None:
-    _command("train", *TINY, "--folder", made / "runs")
+    _command("train", *TINY, "--out", made / "runs")
     shutil.move(made / "runs" / "seed-0", made / "run")
     half = shutil.copytree(made / "run", made / "half")  # as if it was killed at half its steps
     shutil.rmtree(half / "checkpoints" / "1024")
@@ -168,7 +168,7 @@ def _dataset(made: Path) -> None:
 
 
 def _report(made: Path) -> None:
-    _command("reproduce", made / "experiment.py", "--folder", made / "reports", "--workers", "1")
+    _command("reproduce", made / "experiment.py", "--out", made / "reports", "--workers", "1")
 
 
 def sweep_words(folder: Path) -> tuple[object, ...]:
@@ -183,7 +183,7 @@ def sweep_words(folder: Path) -> tuple[object, ...]:
         "4",
         "--workers",
         "1",
-        "--folder",
+        "--out",
         folder,
     )
 

@@ -20,7 +20,7 @@ WRITERS = {
     "sweep": "folder",
 }  # fmt: skip
 OUT = {"evaluate": "there.parquet", "record": "there.mp4"}
-LEVEL = ("level", "maze", "corner-small", "--numbers", "0:500")
+LEVEL = ("level", "maze", "corner-small", "--levels", "0:500")
 
 
 def attempts() -> Iterator[Attempt]:

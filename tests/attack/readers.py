@@ -44,7 +44,7 @@ def _resumed(file: str) -> Callable[[Place], tuple[Path, Use]]:
 
     def make(place: Place) -> tuple[Path, Use]:
         there = place.copy("half", "runs/seed-0")
-        return there / file, lambda place: place.astray("train", *TINY, "--folder", "runs")
+        return there / file, lambda place: place.astray("train", *TINY, "--out", "runs")
 
     return make
 
@@ -203,7 +203,7 @@ READERS: dict[str, Callable[[Place], tuple[Path, Use]]] = {
     "the settings of a run": _run("config.json", "evaluate", "run", *PLAY),
     "the network of a run": _run(WEIGHTS, "evaluate", "run", *PLAY),
     "the metrics of a run that is kept": _run(
-        "metrics.jsonl", "keep", "run", "--as", "kept", "--folder", "to"
+        "metrics.jsonl", "keep", "run", "--as", "kept", "--out", "to"
     ),
     "the settings of a training": _resumed("config.json"),
     "the metrics of a training": _resumed("metrics.jsonl"),

@@ -43,15 +43,15 @@ class Work:
 
 
 WORKS = {
-    "train": Work(("train", *TINY, "--folder", "runs"), "runs", again=(0,),
+    "train": Work(("train", *TINY, "--out", "runs"), "runs", again=(0,),
                   parts=("agent.safetensors", "trainer.safetensors", "metrics.jsonl")),
-    "resume": Work(("train", *TINY, "--folder", "half-runs"), "half-runs", ("half",), (0,),
+    "resume": Work(("train", *TINY, "--out", "half-runs"), "half-runs", ("half",), (0,),
                    ("agent.safetensors", "trainer.safetensors", "metrics.jsonl")),
     "reproduce": Work(("reproduce", "experiment.py", "--workers", "1"), "reports",
                       ("experiment.py",), (0,), ("findings.json", "episodes.csv", "plan.json")),
     "sweep": Work(sweep_words(Path("sweep")), "sweep", ("sweep",), (0,),
                   ("rates.csv", "sweep.json")),
-    "keep": Work(("keep", "run", "--as", "mine", "--folder", "to"), "to", ("run",),
+    "keep": Work(("keep", "run", "--as", "mine", "--out", "to"), "to", ("run",),
                  parts=("agent.safetensors", "config.json", "curve.csv", "README.md"),
                  leaves=True),
     "import": Work(("import", "agent.pth", "--as", "mine", "--game", "maze", "--variant",

@@ -114,7 +114,7 @@ def _modules() -> dict[str, tuple[Callable[[Place], Any], Any]]:
         path.write_text(json.dumps(data))
         from attack.material import TINY
 
-        return place.astray("train", *TINY, "--folder", "runs")
+        return place.astray("train", *TINY, "--out", "runs")
 
     names = ("canary_module:run", "canary_package:run", "os:system", "builtins:exec", "sys:exit",
              "subprocess:call", "astray.cli:main")  # fmt: skip
@@ -265,7 +265,7 @@ def _kept() -> dict[str, tuple[Callable[[Place], Any], Any]]:
         shown = name[:20]
         for verb, given in {
             "import": ("import", "agent.pth", f"--as={name}", *IMPORT[2:]),
-            "keep": ("keep", "run", f"--as={name}", "--folder", "to"),
+            "keep": ("keep", "run", f"--as={name}", "--out", "to"),
             "find": ("evaluate", f"--agent={name}", "--levels", "0:2"),
         }.items():
             found[f"{verb}: an agent called {shown!r}"] = (functools.partial(act, given), "refusal")

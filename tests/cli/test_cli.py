@@ -21,7 +21,7 @@ TINY += ["--width", "16", "--checkpoint-every", "1"]
 def run_folder(tmp_path_factory):
     """A run of a few steps."""
     folder = tmp_path_factory.mktemp("runs")
-    words = ["train", "maze", "corner-small", *TINY, "--folder", str(folder)]
+    words = ["train", "maze", "corner-small", *TINY, "--out", str(folder)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["astray", *words])
         cli.main()
@@ -36,9 +36,9 @@ def test_it_lists_what_there_is(astray):
 
 
 def test_levels_are_printed_as_drawings_and_as_data(astray):
-    drawn = astray("level", "maze", "corner-small", "--numbers", "7").splitlines()
+    drawn = astray("level", "maze", "corner-small", "--levels", "7").splitlines()
     assert drawn[:3] == ["; maze corner-small level 7", "#######", "#....G#"]
-    lines = astray("level", "maze", "corner", "--numbers", "0:3,17", "--json").splitlines()
+    lines = astray("level", "maze", "corner", "--levels", "0:3,17", "--json").splitlines()
     levels = [json.loads(line) for line in lines]
     assert [level["level"] for level in levels] == [0, 1, 2, 17]
     grid = np.array(levels[0]["grid"])
@@ -75,7 +75,7 @@ def test_a_replay_tells_what_happens(astray, tmp_path, reference):
 
 
 def test_agents_are_trained_resumed_and_evaluated(astray, run_folder, tmp_path):
-    words = ("train", "maze", "corner-small", *TINY, "--folder", run_folder.parent)
+    words = ("train", "maze", "corner-small", *TINY, "--out", run_folder.parent)
     assert Path(astray(*words).strip()) == run_folder / "checkpoints" / "512"
     out = tmp_path / "episodes.parquet"
     words = ("evaluate", run_folder, "--levels", "1000000:1000020", "--out", out, "--json")
@@ -96,7 +96,7 @@ def test_the_table_of_an_evaluation_names_the_agent(astray, run_folder):
 
 
 def test_levels_from_files_are_edited_and_played(astray, run_folder, tmp_path):
-    drawn = astray("level", "maze", "anywhere-small", "--numbers", "5:8", "--text")
+    drawn = astray("level", "maze", "anywhere-small", "--levels", "5:8", "--text")
     assert ";" not in drawn
     folder, out, actions = tmp_path / "levels", tmp_path / "episodes.parquet", tmp_path / "actions"
     folder.mkdir()
@@ -147,11 +147,11 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
     [
         ("level mase corner", "unknown game 'mase'; there are: "),
         ("level maze cornr", "unknown variant 'cornr' of maze; there are: corner, anywhere"),
-        ("level maze corner --numbers 5-9", "levels must be numbers and ranges as 5,17,100:200"),
-        ("level maze corner --numbers -1", "from 0 to 2147483646"),
-        ("level maze corner --numbers 99999999999999999999", "from 0 to 2147483646"),
-        ("level maze corner --numbers 0:99999999999", "from 0 to 2147483646"),
-        ("level maze corner --numbers 0:2000000000", "at most 10000000 are taken at once"),
+        ("level maze corner --levels 5-9", "levels must be numbers and ranges as 5,17,100:200"),
+        ("level maze corner --levels -1", "from 0 to 2147483646"),
+        ("level maze corner --levels 99999999999999999999", "from 0 to 2147483646"),
+        ("level maze corner --levels 0:99999999999", "from 0 to 2147483646"),
+        ("level maze corner --levels 0:2000000000", "at most 10000000 are taken at once"),
         ("level maze corner --set region=5", "need placement 'region'"),
         ("train maze corner --seeds 0", "seeds must be an integer from 1 to 134217728; got 0"),
         (
@@ -268,14 +268,14 @@ def test_a_presets_settings_are_the_defaults(astray, monkeypatch, words):
 
 def test_an_agent_is_evaluated_with_the_knobs_it_was_trained_with(astray, run_folder, tmp_path):
     folder, out = tmp_path / "changed", tmp_path / "episodes.parquet"
-    astray("train", "maze", "corner-small", *TINY, "--set", "time_limit=7", "--folder", folder)
+    astray("train", "maze", "corner-small", *TINY, "--set", "time_limit=7", "--out", folder)
     astray("evaluate", folder / "seed-0", "--out", out, "--json")
     episodes = pl.read_parquet(out)
     assert episodes["length"].max() == 7
     assert episodes["level"].min() == 100_000 and episodes["level"].n_unique() == 1000
     other = tmp_path / "other"  # trained in the levels that the first is tested on
     knobs = ("--set", "time_limit=7", "--first-level", "100000")
-    astray("train", "maze", "corner-small", *TINY, *knobs, "--folder", other)
+    astray("train", "maze", "corner-small", *TINY, *knobs, "--out", other)
     astray("evaluate", folder / "seed-0", other / "seed-0", "--out", out, "--json")
     assert pl.read_parquet(out)["level"].min() == 200_000
     said = astray("evaluate", run_folder, folder / "seed-0", fails=True)
@@ -287,7 +287,7 @@ def test_an_agent_is_evaluated_with_the_knobs_it_was_trained_with(astray, run_fo
 )
 def test_no_seed_is_trained_if_a_later_one_cannot_be(astray, run_folder, tmp_path, words):
     (tmp_path / "seed-2").write_text("mine")
-    given = (*words, "--seeds", "3", "--folder", tmp_path)
+    given = (*words, "--seeds", "3", "--out", tmp_path)
     assert "seed-2" in astray(*given, fails=True)
     assert [path.name for path in tmp_path.iterdir()] == ["seed-2"]
     (tmp_path / "seed-2").unlink()

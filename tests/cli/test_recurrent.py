@@ -42,7 +42,7 @@ def assessed(astray, agent, out):
 
 
 def explained(astray, agent, out):
-    page = Path(astray("explain", agent, "--others", "30", "--out", out).strip())
+    page = Path(astray("explain", agent, "--num-levels", "30", "--out", out).strip())
     assert BY_ITSELF in page.read_text()
 
 
@@ -61,7 +61,7 @@ def exported_data(astray, agent, out):
 
 
 def kept(astray, agent, out):
-    folder = Path(astray("keep", agent, "--as", "elephant", "--folder", out).strip())
+    folder = Path(astray("keep", agent, "--as", "elephant", "--out", out).strip())
     assert "mlp+gru" in next(folder.rglob("*.md")).read_text()
 
 
@@ -83,13 +83,13 @@ def compared(astray, agent, out):
 
 
 def audited(astray, agent, out):
-    page = Path(astray("audit", agent, "--num-levels", "20", "--folder", out).strip())
+    page = Path(astray("audit", agent, "--num-levels", "20", "--out", out).strip())
     assert "seed-0 pursue cheese or corner?" in page.read_text("utf-8")
 
 
 def distilled(astray, agent, out):
     more = ("--observation", "symbolic", "--network", "mlp+lstm", "--steps", "16384")
-    run = Path(astray("distil", agent, *more, "--folder", out).strip()).parents[1]
+    run = Path(astray("distil", agent, *more, "--out", out).strip()).parents[1]
     assert checkpoint.read_config(run).network == "mlp+lstm"
 
 
@@ -98,7 +98,7 @@ def swept(astray, agent, out):
     few = [f"--{name}={getattr(config, name)}" for name in ("steps", "minibatches", "width")]
     axes = ("--set", "network=mlp,mlp+gru", "--set", "num_envs=16", "--num-steps", "16")
     page = astray(
-        "sweep", "maze", "corner-small", *axes, *few, "--num-test-levels", "20", "--folder", out
+        "sweep", "maze", "corner-small", *axes, *few, "--num-test-levels", "20", "--out", out
     )
     assert "mlp+gru" in Path(page.strip()).read_text()
 

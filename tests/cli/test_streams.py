@@ -11,7 +11,7 @@ import pytest
 
 from helpers.processes import environment
 
-LEVEL = ("level", "maze", "corner-small", "--numbers")
+LEVEL = ("level", "maze", "corner-small", "--levels")
 # Without coverage, which only tests have, and which numba imports: it needs a working folder.
 RUN = "import sys; sys.modules['coverage'] = None; from astray.cli import main; main()"
 THOROUGH = pytest.mark.thorough
@@ -97,7 +97,7 @@ def test_paths_that_are_no_text_are_printed(tmp_path):
 
 @POSIX
 def test_an_interrupted_command_says_so_in_a_line(tmp_path):
-    words = ("train", "maze", "corner-small", "--folder", str(tmp_path), "--checkpoint-every", "1")
+    words = ("train", "maze", "corner-small", "--out", str(tmp_path), "--checkpoint-every", "1")
     process = begin(*words, cwd=tmp_path)
     while not (tmp_path / "seed-0" / "metrics.jsonl").exists() and process.poll() is None:
         time.sleep(0.05)

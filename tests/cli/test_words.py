@@ -60,7 +60,7 @@ def test_the_help_of_every_option_is_a_sentence_with_its_default(verb, capsys, m
 def test_no_word_is_an_option_and_a_number_of_things_at_once():
     """--set, --shift, --mode, --levels: each has one type in all verbs that have it."""
     for name in (
-        "set", "shift", "mode", "folder", "track", "seeds", "workers", "level_file", "levels",
+        "set", "shift", "mode", "out", "track", "seeds", "workers", "level_file", "levels",
         "num_levels", "test_levels", "actions",
     ):  # fmt: skip
         kinds = {
@@ -70,6 +70,18 @@ def test_no_word_is_an_option_and_a_number_of_things_at_once():
             if own == name and verb != "sweep"
         }
         assert len(kinds) == 1, (name, kinds)
+
+
+def test_a_meaning_has_one_word_in_all_verbs():
+    """A result is written to --out; --levels are numbers, and --num-levels is their count."""
+    there = {f"--{own}" for verb in verbs.VERBS for own, *_ in options(verb)}
+    assert "--out" in there and not there & {*verbs.EARLIER}
+
+
+@pytest.mark.parametrize("given", ["--numbers 7", "--numbers=7", "--levels 7"])
+def test_scripts_with_earlier_names_of_options_go_on(given, astray):
+    drawn = astray("level", "maze", "corner-small", "--levels", "7")
+    assert astray("level", "maze", "corner-small", *given.split()) == drawn
 
 
 def test_set_means_knobs_and_settings_by_their_names():

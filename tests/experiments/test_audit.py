@@ -11,6 +11,7 @@ import pytest
 
 from astray.analysis.adapters import Function
 from astray.experiments.audit import FIRST, audit
+from astray.report.page import code
 from helpers.rooms import CELLS, WORLD, Room, each_step, go_right
 
 RIGHT = Function(go_right, "right")
@@ -37,7 +38,7 @@ def test_an_audit_tells_what_a_policy_of_ones_own_pursues(tmp_path):
 
 def test_an_audit_tells_the_returns_of_further_rewards(astray, tmp_path):
     words = ("--policy", "helpers.rooms:go_right", "--world", "helpers.rooms:WORLD")
-    words = (*words, "--shift", "end", "--num-levels", "9", "--folder", tmp_path)
+    words = (*words, "--shift", "end", "--num-levels", "9", "--out", tmp_path)
     page = Path(astray("audit", *words, "--rewards", "helpers.rooms:each_step").strip())
     told = pl.read_parquet(page.parent / "tables" / "returns.parquet")
     mine = told.filter(policy="helpers.rooms:go_right")
@@ -79,10 +80,10 @@ def test_another_policy_of_the_same_name_is_played_anew(tmp_path):
 
 
 def test_a_pretrained_agent_is_audited_by_one_command(astray, tmp_path):
-    page = astray("audit", "maze-corner", "--num-levels", "30", "--folder", tmp_path).strip()
+    page = astray("audit", "maze-corner", "--num-levels", "30", "--out", tmp_path).strip()
     text = Path(page).read_text("utf-8")
     assert "maze-corner misgeneralizes: it pursues corner, not cheese" in text
-    assert f"astray audit maze-corner --num-levels 30 --folder {tmp_path}" in text
+    assert code(f"astray audit maze-corner --num-levels 30 --out {tmp_path}") in text
     first = pl.read_parquet(next((tmp_path / "audit-maze-corner-corner-small-smoke").glob(
         "computed/episodes-*.parquet")))["level"].min()  # fmt: skip
     assert first == FIRST
@@ -90,7 +91,7 @@ def test_a_pretrained_agent_is_audited_by_one_command(astray, tmp_path):
 
 def test_the_likeliest_actions_and_changed_knobs_are_audited(astray, tmp_path):
     words = ("maze-corner", "--num-levels", "3", "--mode", "greedy", "--set", "time_limit=4")
-    page = Path(astray("audit", *words, "--folder", tmp_path).strip())
+    page = Path(astray("audit", *words, "--out", tmp_path).strip())
     assert page.parent.name.startswith("audit-maze-corner-greedy")
     told = pl.concat(map(pl.read_parquet, page.parent.glob("computed/episodes-*.parquet")))
     longest = dict(told.group_by("test").agg(pl.col("length").max()).rows())
@@ -155,5 +156,5 @@ def files_of(folder):
     ],
 )  # fmt: skip
 def test_an_audit_that_cannot_be_is_refused(astray, words, said, tmp_path):
-    assert said in astray("audit", *words, "--folder", tmp_path, fails=True)
+    assert said in astray("audit", *words, "--out", tmp_path, fails=True)
     assert not [*tmp_path.iterdir()]

@@ -26,6 +26,9 @@ def test_agents_and_scripts_are_compared_on_one_page(astray, tmp_path):
     assert page.index(said) < page.index("<h2>Outcomes") < page.index("<h2>Side by side")
     assert "walk to cheese" in page and "data:video/mp4" in page and "astray compare" in page
     assert "Learning curves" not in page, "nobody trained here"
+    row = page.split("<tbody>")[1].split("</tr>")[0]
+    assert "maze-corner</td>" in row and "distinguishing</td>" in row, "its own row is the first"
+    assert row.count('class="number"') > 3, "and its rates are not broken into lines"
 
 
 def test_differences_are_of_the_same_levels():

@@ -122,7 +122,7 @@ def test_a_training_that_could_not_begin_is_told_before_those_before_it(tmp_path
 def test_a_sweep_over_a_network_that_sees_nothing_of_the_kind_is_refused_before_it_trains(
     astray, tmp_path
 ):
-    words = ("maze", "corner-small", "--set", "network=mlp,impala", "--folder", tmp_path / "swept")
+    words = ("maze", "corner-small", "--set", "network=mlp,impala", "--out", tmp_path / "swept")
     said = "impala cannot be trained: network 'impala' does not see symbolic planes"
     assert said in astray("sweep", *words, fails=True)
     assert not list(tmp_path.iterdir())
@@ -136,7 +136,7 @@ def test_a_sweep_over_a_network_that_sees_nothing_of_the_kind_is_refused_before_
     ],
 )
 def test_a_refused_report_leaves_no_folder(astray, tmp_path, words):
-    assert astray(*words, "--folder", tmp_path / "new" / "reports", fails=True)
+    assert astray(*words, "--out", tmp_path / "new" / "reports", fails=True)
     assert not list(tmp_path.iterdir())
 
 
@@ -221,7 +221,7 @@ def test_a_lab_that_cannot_be_exported_is_refused_before_a_level_is_looked_for(
 def test_a_file_in_the_place_of_a_folder_is_told_as_one(astray, tmp_path, words):
     (tmp_path / "file").write_text("in the way")
     for folder in (tmp_path / "file", tmp_path / "file" / "reports"):
-        told = astray(*words, "--folder", folder, fails=True)
+        told = astray(*words, "--out", folder, fails=True)
         assert f"{tmp_path / 'file'} must be a folder; it is a file" in told
 
 

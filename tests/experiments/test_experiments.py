@@ -279,7 +279,7 @@ def test_tables_are_computed_anew_where_a_test_has_another_variant(monkeypatch):
 
 @pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")
 def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
-    words = ["reproduce", "maze-corner", "--workers", "1", "--folder", str(tmp_path)]
+    words = ["reproduce", "maze-corner", "--workers", "1", "--out", str(tmp_path)]
     process = subprocess.Popen([sys.executable, "-m", "astray", *words], stderr=subprocess.DEVNULL)
     config = catalogue.load("maze-corner").sizes["smoke"].config
     folder = run.run_folder(tmp_path, config)
@@ -356,7 +356,7 @@ LINES = "agents/*/seed-*/metrics.jsonl"
 )
 def test_an_interrupt_ends_all_trainings_in_a_line(first, sent, code, told, tmp_path):
     program = "from astray.cli import main; import sys; sys.argv = ['astray', 'reproduce', "
-    program += "'maze-corner', '--folder', sys.argv[1]]; main()"
+    program += "'maze-corner', '--out', sys.argv[1]]; main()"
     process = begin(program, tmp_path, start_new_session=True)
     try:
         wait_for(lambda: list(tmp_path.glob(first)), PATIENCE)

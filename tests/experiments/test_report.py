@@ -287,7 +287,7 @@ def test_what_all_rows_share_is_in_a_sentence_and_a_finding_stays_in_the_table()
     table = pl.DataFrame([shared | {"differ": True, "who": who} for who in "ab"])
     shown, note = report.laid_out(table)
     assert shown == {"differ": (False, ["yes"] * 2), "who": (False, ["a", "b"])}
-    assert note == "In every row: test “in training”, 3 seeds, levels 1, size 25, beta 0.500."
+    assert note == "In every row: test “in training”, 3 seeds, 1 level, size 25, beta 0.500."
 
 
 def test_a_table_without_outcomes_keeps_its_rows():
@@ -320,6 +320,30 @@ def test_a_report_is_accessible(told, chrome, tmp_path):
 
 def test_what_stands_between_backticks_is_code():
     assert report.coded("a < `b` and `c") == "a &lt; <code>b</code> and `c"
+
+
+def test_no_line_of_code_ends_within_an_option_or_a_name():
+    said = "<code>lab <span>maze-corner</span> <span>--level</span> 5</code>"
+    assert report.code("lab maze-corner --level 5") == said
+    assert report.coded("In `lab maze-corner --level 5`") == f"In {said}"
+    assert report.code("#-<#--") == "<code>#-&lt;#--</code>"  # a drawing
+
+
+def test_agents_are_named_among_the_scripts_and_short_cells_stay_whole(told, tmp_path):
+    table = pl.DataFrame({"agent": [None, "coin-end"], "policy": ["random", "sampled"], "n": 1.5})
+    shown, _ = report.laid_out(table)
+    assert shown["policy"] == (False, ["random", "coin-end"]) and "agent" not in shown
+    heading, findings = told
+    page = report.write(heading, replace(findings, tables=[Table("a", "b", table)]), tmp_path)
+    assert '<td class="short">coin-end</td>' in page.read_text()
+
+
+def test_a_claim_of_no_paper_says_nothing_of_one(told, tmp_path):
+    heading, findings = told
+    claims = [replace(one, paper="") for one in findings.claims]
+    assert "<dt>paper</dt>" in report.write(heading, findings, tmp_path / "a").read_text()
+    page = report.write(heading, replace(findings, claims=claims), tmp_path / "b").read_text()
+    assert "<dt>paper</dt>" not in page and "<dt>here</dt>" in page
 
 
 RUINED = r"findings.json (is not JSON|must be the findings)"

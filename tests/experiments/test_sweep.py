@@ -179,7 +179,7 @@ def test_the_verb_trains_in_processes(astray, tmp_path):
     words = [
         "sweep", "maze", "corner-small", "--steps", "512", "--num-envs", "16", "--num-steps",
         "16", "--minibatches", "4", "--width", "16", "--set", "lr=1e-4,5e-4", "--set",
-        "variant.time_limit=20", "--num-test-levels", "5", "--folder", tmp_path / "sweep",
+        "variant.time_limit=20", "--num-test-levels", "5", "--out", tmp_path / "sweep",
     ]  # fmt: skip
     assert astray(*words).strip() == str(tmp_path / "sweep" / "report.html")
     assert len(list((tmp_path / "sweep" / "agents").glob("*/seed-0/config.json"))) == 2

@@ -15,9 +15,9 @@ from astray.cli import arguments, verbs
 from helpers.anything import tried, tries
 
 WORDS = st.sampled_from([
-    "maze", "coinrun", "keys", "chess", "corner", "anywhere-small", "corner-xs", "--numbers",
+    "maze", "coinrun", "keys", "chess", "corner", "anywhere-small", "corner-xs", "--levels",
     "--set", "--json", "--text", "--level", "--level-file", "--actions", "--levels", "--variant",
-    "--shift", "--mode", "--batch", "--preset", "--seeds", "--folder", "--size", "--workers", "0",
+    "--shift", "--mode", "--batch", "--preset", "--seeds", "--out", "--size", "--workers", "0",
     "5:8", "-1", "3", "1e9", "99999999999999999999", "a=b", "time_limit=5", "world=x", "smoke",
     "paper", "small", "greedy", "/nowhere", "", "-", "--", "\x00", "é", "--help", "--no-json",
     "--pixels", "--out", "x.gif", "--unsolvable", "--num-envs", "--num-steps", "--steps",

@@ -3,6 +3,7 @@
 import io
 import re
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,6 +20,7 @@ from astray.insight import explain
 from astray.insight.episode import STILL, along, figure
 from astray.lab.goals import TELLING, first_distinguishing
 from astray.level import Level
+from astray.report.page import code
 from astray.training import folders
 
 # So short that arrows in all of its places are drawn in a moment.
@@ -67,11 +69,17 @@ def test_the_figure_of_an_episode_has_its_marks():
     course = along(runner, "coin-end", 200_001)
     shown = figure(course)
     view = shown.axes[3]
-    assert view.get_title(loc="left") == "in view"
+    assert view.get_title(loc="left") == "labels that hold"
     drawn = {line.get_label(): np.isfinite(line.get_ydata()).sum() for line in view.lines}
     assert {n: drawn[n] for n in course.marks} == {
         n: 2 * course.table[n].sum() for n in course.marks
     }
+    short = replace(
+        course, table=course.table.head(2).with_columns(hazard=False), marks=("hazard",)
+    )
+    drawn = figure(short)
+    assert len(drawn.axes) == 3, "what never holds has no panel"
+    assert all(float(tick).is_integer() for tick in drawn.axes[2].get_xticks())
     with pytest.raises(ValueError, match="marks must be true or false; level are not"):
         along(runner, "coin-end", 200_001, marks={"level": lambda s: s["level"]})
 
@@ -113,7 +121,9 @@ def test_a_level_is_found_where_goals_are_counts_that_the_end_tells():
 
 def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stderr", told := io.StringIO())
-    path = astray("explain", "maze-corner", "--level", 200_003, "--others", 60, "--out", tmp_path)
+    path = astray(
+        "explain", "maze-corner", "--level", 200_003, "--num-levels", 60, "--out", tmp_path
+    )
     page = (tmp_path / "explain.html").read_text()
     assert path.strip() == str(tmp_path / "explain.html")
     assert told.getvalue().startswith("1 of 6: where it would go\n2 of 6: ")
@@ -130,7 +140,14 @@ def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monke
     assert "Not available here" not in page and "`" not in page.split("<script>")[0]
     (answer,) = re.findall('<p class="answer">(.*?)</p>', page)
     assert answer.startswith("Here the agent goes to the corner rather than the cheese")
-    assert "<code>astray lab maze-corner --variant anywhere-small --level 200003</code>" in page
+    said = "astray lab maze-corner --variant anywhere-small --level 200003"
+    assert f"In the lab: {code(said)}" in page
+    begins, *_ = re.findall("the likeliest actions are (.*?)\\. An arrow", page)
+    assert begins == "up 1.00", "an action that is not taken is not named"
+    (scores,) = re.findall("(?s)<table>(.*?)</table>", page.split("What its layers tell</h2>")[1])[
+        :1
+    ]
+    assert len(re.findall(r"\(-?\d\.\d\d\)</td>", scores)) == 24
     assert page.count("data:image/svg+xml;base64,") == 6 and 'src="http' not in page
     field = pl.read_parquet(tmp_path / "field.parquet")
     assert field.select(games.find("maze").actions).sum_horizontal().to_numpy() == pytest.approx(1)
@@ -152,7 +169,7 @@ def test_what_a_game_does_not_have_is_told_in_its_place(astray, tmp_path):
         "coin-end",
         "--level-file",
         tmp_path / "level.txt",
-        "--others",
+        "--num-levels",
         20,
         "--out",
         tmp_path,
@@ -167,12 +184,12 @@ def test_mistakes_are_told_before_anything_is_written(astray, tmp_path):
     out = tmp_path / "out"
     said = astray("explain", "maze-corner", "--layers", "nowhere", "--out", out, fails=True)
     assert "unknown layer 'nowhere'; there are: spread" in said
-    assert "others must be an integer" in astray(
-        "explain", "maze-corner", "--others", 1, fails=True
+    assert "num_levels must be an integer" in astray(
+        "explain", "maze-corner", "--num-levels", 1, fails=True
     )
     assert not out.exists()
     (tmp_path / "explain.html").write_text("mine")
-    said = astray("explain", "maze-corner", "--others", 2, "--out", tmp_path, fails=True)
+    said = astray("explain", "maze-corner", "--num-levels", 2, "--out", tmp_path, fails=True)
     assert "explain.html was not written by astray; it would be replaced" in said
     assert (tmp_path / "explain.html").read_text() == "mine"
 
@@ -186,7 +203,7 @@ def test_probes_learn_from_other_levels_and_advantages_are_those_of_the_training
     first = config.unseen_levels[0]
     for level in (None, first + 3, 5):
         words = () if level is None else ("--level", level)
-        astray("explain", "maze-corner", *words, "--others", 6, "--out", tmp_path)
+        astray("explain", "maze-corner", *words, "--num-levels", 6, "--out", tmp_path)
         assert (first if level is None else level) not in given[-1].others
         assert len(given[-1].others) == len({*given[-1].others}) == 6
         assert (given[-1].gamma, given[-1].lam) == (config.gamma, config.lam) != (0.999, 0.95)
@@ -194,14 +211,14 @@ def test_probes_learn_from_other_levels_and_advantages_are_those_of_the_training
 
 
 def test_a_drawn_level_is_explained(astray, tmp_path):
-    drawing = astray("level", "maze", "anywhere-small", "--numbers", 200_005, "--text")
+    drawing = astray("level", "maze", "anywhere-small", "--levels", 200_005, "--text")
     (tmp_path / "level.txt").write_text(drawing)
     astray(
         "explain",
         "maze-corner",
         "--level-file",
         tmp_path / "level.txt",
-        "--others",
+        "--num-levels",
         20,
         "--out",
         tmp_path,

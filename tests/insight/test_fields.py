@@ -182,3 +182,25 @@ def test_other_games_have_fields_too(game, tmp_path):
     assert things and {*shown.letters} == {*things} and shown.window is not None
     left, right, low, high = shown.window
     assert all(left <= x < right and low <= y < high for x, y in things)
+
+
+def test_panels_of_flat_levels_lie_one_upon_the_other_and_show_the_same_cells():
+    agent, config = open_run(folders.find("coin-end"))
+    level = fields(agent, config.training_variant(), [3])[0].level
+    near, far = ({(x, 2): 1.0} for x in (2, level.cells.shape[1] - 3))
+    row = [field_figures.heat_map(level, cells) for cells in (near, far)]
+    assert row[0].window != row[1].window
+    drawn = field_figures.side_by_side(row)
+    one, two = drawn.axes
+    assert one.get_xlim() == two.get_xlim() == (row[0].window[0], row[1].window[1])
+    assert one.get_subplotspec().colspan == two.get_subplotspec().colspan
+    assert drawn.get_figwidth() > drawn.get_figheight() / 2
+    sides = field_figures.side_by_side([replace(one, window=(0, 9, 0, 9)) for one in row]).axes
+    assert sides[0].get_subplotspec().rowspan == sides[1].get_subplotspec().rowspan
+
+
+def test_a_change_of_nothing_has_a_scale_that_says_so():
+    agent, config = open_run(folders.find("maze-corner"))
+    (one,) = fields(agent, config.training_variant(), [3])
+    drawn = field_figures.draw({"change": difference(one, one)})
+    assert drawn.axes[0].images[-1].get_clim() == (-0.01, 0.01)

@@ -124,7 +124,7 @@ COMMAND = [
 
 def trained_with(by, folder, **variables):
     """Runs `astray train --track` in a process of its own; its run folder."""
-    words = [*COMMAND, "--folder", "runs", "--track", by]
+    words = [*COMMAND, "--out", "runs", "--track", by]
     done = subprocess.run(
         [sys.executable, "-m", "astray", *words],
         cwd=folder,

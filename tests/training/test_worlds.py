@@ -201,7 +201,7 @@ def test_a_file_of_settings_imports_no_world():
 def test_the_command_line_trains_on_a_world_and_finds_it_again(astray, tmp_path):
     run = tmp_path / "run"
     words = ["--num-envs", "4", "--num-steps", "16", "--minibatches", "1", "--steps", "64"]
-    astray("train", "helpers.rooms:WORLD", "end", *words, "--folder", str(run))
+    astray("train", "helpers.rooms:WORLD", "end", *words, "--out", str(run))
     last = run / "seed-0"
     again = ("evaluate", str(last), "--world", "helpers.rooms:WORLD", "--levels", "500:510")
     told = json.loads(astray(*again, "--json"))

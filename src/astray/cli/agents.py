@@ -58,17 +58,17 @@ def train(
     preset: Preset = "small",
     knobs: Settings = (),
     seeds: int = 1,
-    folder: Annotated[Path | None, otherwise("runs/<game>-<variant>")] = None,
+    out: Annotated[Path | None, otherwise("runs/<game>-<variant>")] = None,
     track: Annotated[Tracking | None, otherwise("none")] = None,
 ) -> None:
     """Train agents, or resume their trainings.
 
-    Example: astray train maze corner-small --validation anywhere-small --folder runs/mice
+    Example: astray train maze corner-small --validation anywhere-small --out runs/mice
 
     Args:
         preset: Preset that gives the other settings their defaults.
         seeds: Number of agents to train one after another, with consecutive seeds.
-        folder: Folder for the run folders seed-0, seed-1, ...
+        out: Folder for the run folders seed-0, seed-1, ...
         track: Tracker of the training's metrics and, at its end, of the agent's behaviour.
     """
     from dataclasses import replace
@@ -80,7 +80,7 @@ def train(
 
     config = changed(ungrouped(settings), pairs(knobs))
     bounded("seeds", seeds, 1, SEEDS - config.seed)
-    there = folder or Path("runs") / f"{config.game}-{config.variant}"
+    there = out or Path("runs") / f"{config.game}-{config.variant}"
     chosen = range(config.seed, config.seed + seeds)
     runs = {there / f"seed-{seed}": replace(config, seed=seed) for seed in chosen}
     checkpoint.check_all(runs)
@@ -167,18 +167,18 @@ def keep(
     agent: Agent,
     name: Annotated[str, arg(name="as", help="Name that other verbs find the agent by.")],
     shift: Shift = None,
-    folder: Annotated[Path | None, otherwise("astray's own, where verbs look for names")] = None,
+    out: Annotated[Path | None, otherwise("astray's own, where verbs look for names")] = None,
 ) -> None:
     """Give a trained agent a name that all verbs accept, and a card about its goals.
 
     Example: astray keep runs/mice/seed-0 --as my-mouse
 
     Args:
-        folder: Folder for a copy of the agent's run folder.
+        out: Folder for a copy of the agent's run folder.
     """
     from astray.experiments.keep import keep as write
 
-    print(write(agent, name, shift=shift, folder=folder or PRETRAINED))
+    print(write(agent, name, shift=shift, folder=out or PRETRAINED))
 
 
 def record(

@@ -233,14 +233,26 @@ def played(rules: Any, variant: str, knobs: Words, config: Config | None) -> Any
 
 
 @dataclass(frozen=True)
-class TestedPlayer:
-    """An agent, or a policy in its place, and the variant and goals that it is tested with."""
+class Tested:
+    """The variant and the goals that agents are tested with, and how they act."""
 
-    agent: Positional[Annotated[Path | None, otherwise("none", AN_AGENT)]] = None
     variant: TestVariant = None
     shift: Shift = None
     knobs: Knobs = ()
     acting: Acting = Acting()
+
+    def words(self) -> dict[str, Any]:
+        """Return these options as keyword arguments of the functions that test agents."""
+        others = {"variant": self.variant, "shift": self.shift, "knobs": pairs(self.knobs)}
+        return vars(self.acting) | others
+
+
+@dataclass(frozen=True)
+class TestedPlayer:
+    """An agent, or a policy in its place, and the variant and goals that it is tested with."""
+
+    agent: Positional[Annotated[Path | None, otherwise("none", AN_AGENT)]] = None
+    tested: Tested = Tested()
     policy: OwnPolicy = OwnPolicy()
 
     @property
@@ -259,26 +271,12 @@ class TestedPlayer:
         from astray.analysis.outcomes import load_shift
         from astray.analysis.runs import shift_of
 
-        needs = {"--shift": self.shift}
-        player, rules, config = self.policy.open(self.agent, self.acting, needs)
-        shift = self.shift or shift_of(config)  # pyright: ignore[reportArgumentType]
-        name = self.variant or load_shift(rules, shift).test
-        return player, rules, name, played(rules, name, self.knobs, config), shift, config
-
-
-@dataclass(frozen=True)
-class Tested:
-    """The variant and the goals that agents are tested with, and how they act."""
-
-    variant: TestVariant = None
-    shift: Shift = None
-    knobs: Knobs = ()
-    acting: Acting = Acting()
-
-    def words(self) -> dict[str, Any]:
-        """Return these options as keyword arguments of the functions that test agents."""
-        others = {"variant": self.variant, "shift": self.shift, "knobs": pairs(self.knobs)}
-        return vars(self.acting) | others
+        tested = self.tested
+        needs = {"--shift": tested.shift}
+        player, rules, config = self.policy.open(self.agent, tested.acting, needs)
+        shift = tested.shift or shift_of(config)  # pyright: ignore[reportArgumentType]
+        name = tested.variant or load_shift(rules, shift).test
+        return player, rules, name, played(rules, name, tested.knobs, config), shift, config
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def distil(
     seed: int = 0,
     seeds: int = 1,
     threads: int = 1,
-    folder: Annotated[Path | None, otherwise("runs/<game>-<variant>-of-<teacher>")] = None,
+    out: Annotated[Path | None, otherwise("runs/<game>-<variant>-of-<teacher>")] = None,
     track: Annotated[Tracking | None, otherwise("none")] = None,
 ) -> None:
     """Distil an agent into students, which learn its policy and values in episodes of their own.
@@ -45,7 +45,7 @@ def distil(
         seed: Seed of the first student.
         seeds: Number of students to train, with consecutive seeds.
         threads: Number of threads for environments, and for torch.
-        folder: Folder for the run folders seed-0, seed-1, ...
+        out: Folder for the run folders seed-0, seed-1, ...
         track: Tracker that records the training's metrics.
 
     Raises:
@@ -84,7 +84,7 @@ def distil(
         threads=threads,
         teacher=name,
     )
-    there = folder or Path("runs") / f"{config.game}-{config.variant}-of-{name}"
+    there = out or Path("runs") / f"{config.game}-{config.variant}-of-{name}"
     chosen = range(seed, seed + seeds)
     runs = {there / f"seed-{number}": replace(config, seed=number) for number in chosen}
     checkpoint.check_all(runs)

@@ -94,7 +94,7 @@ Names = Positional[
 def reproduce(
     names: Names,
     size: Size = "smoke",
-    folder: Path = Path("reports"),
+    out: Path = Path("reports"),
     workers: Workers = None,
     on: Place = "here",
     art: str = OWN,
@@ -111,7 +111,7 @@ def reproduce(
             an hour per agent on two cores), night (the paper's worlds on two cores; prints an
             estimate first), hour (on a GPU), paper, or published (others' agents, see `astray
             agents`).
-        folder: Folder of reports: this one is written to <name>-<size>, and all share the agents.
+        out: Folder of reports: this one is written to <name>-<size>, and all share the agents.
         on: Place of the trainings: this machine, or a Ray cluster whose nodes share the folder.
         art: Art that images are drawn with: own or original.
         track: Tracker of the trainings' metrics and of the report.
@@ -126,9 +126,9 @@ def reproduce(
     if workers is not None:
         bounded("workers", workers, 1, MOST_WORKERS)
     if len(names) == 1 and names[0] != run.ALL:
-        print(run.reproduce(names[0], size, folder, workers=workers, on=on, art=art, track=track))
+        print(run.reproduce(names[0], size, out, workers=workers, on=on, art=art, track=track))
     else:
-        print(run.reproduce_each(names, size, folder, workers=workers, on=on, art=art, track=track))
+        print(run.reproduce_each(names, size, out, workers=workers, on=on, art=art, track=track))
 
 
 def bench(

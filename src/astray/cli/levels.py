@@ -27,18 +27,18 @@ from astray.record import NEVER
 LONGEST = 2**20  # characters of actions: more than any episode has
 
 
-def level(game: Drawn, numbers: str = "0", text: bool = False, json: Json = False) -> None:
+def level(game: Drawn, levels: str = "0", text: bool = False, json: Json = False) -> None:
     """Print levels as drawings or as data; other verbs read both from files.
 
-    Example: astray level maze corner-small --numbers 5,17,100:103
+    Example: astray level maze corner-small --levels 5,17,100:103
 
     Args:
-        numbers: Level numbers and ranges, such as 5,17,100:200.
+        levels: Level numbers and ranges, such as 5,17,100:200.
         text: Print only the drawings, without headings.
     """
-    rules, levels = game.open()
+    rules, variant = game.open()
     # Chunk by chunk, so that the first can be printed at once.
-    for s in chain.from_iterable(in_chunks(rules, levels, level_numbers(numbers))):
+    for s in chain.from_iterable(in_chunks(rules, variant, level_numbers(levels))):
         if json:
             print_json(
                 {"game": game.game, "variant": game.variant, "level": int(s.level)}
@@ -46,7 +46,7 @@ def level(game: Drawn, numbers: str = "0", text: bool = False, json: Json = Fals
             )
         else:
             heading = "" if text else f"; {game.game} {game.variant} level {s.level}\n"
-            print(f"{heading}{Level.of(rules, levels, s)}\n")
+            print(f"{heading}{Level.of(rules, variant, s)}\n")
 
 
 def play(game: Drawn, level: PlayedLevel = PlayedLevel(), art: str = OWN) -> None:
@@ -93,16 +93,8 @@ def replay(
         return
     for k, step in enumerate(told["steps"], 1):
         print(f"{k:5}  {step['action']:10}  ({step['x']:g}, {step['y']:g})  {step['reward']:+g}")
-    print(
-        f"return {told['return']:g}, "
-        + (
-            "terminated"
-            if told["terminated"]
-            else "truncated"
-            if told["truncated"]
-            else "not ended"
-        )
-    )
+    end = next((name for name in ("terminated", "truncated") if told[name]), "not ended")
+    print(f"return {told['return']:g}, {end}")
 
 
 def overlap(

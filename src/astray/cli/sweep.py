@@ -32,7 +32,7 @@ def sweep(
     seeds: int = 1,
     test_levels: Annotated[int, arg(name="num_test_levels")] = 1000,
     shift: Shift = None,
-    folder: Annotated[Path | None, otherwise("sweeps/<game>-<variant>")] = None,
+    out: Annotated[Path | None, otherwise("sweeps/<game>-<variant>")] = None,
     workers: Workers = None,
     on: Place = "here",
     track: Annotated[Tracking | None, otherwise("none")] = None,
@@ -49,7 +49,7 @@ def sweep(
         seeds: Number of agents per combination, with consecutive seeds.
         test_levels: Number of levels to evaluate each agent on: the first ones that its training
             does not draw from.
-        folder: Folder for the runs and their outcomes.
+        out: Folder for the runs and their outcomes.
         on: Place of the trainings: this machine, or a Ray cluster whose nodes share the folder.
         track: Tracker of the trainings' metrics.
     """
@@ -61,6 +61,6 @@ def sweep(
     if workers is not None:
         bounded("workers", workers, 1, MOST_WORKERS)
     config = ungrouped(settings)
-    there = folder or Path("sweeps") / f"{config.game}-{config.variant}"
+    there = out or Path("sweeps") / f"{config.game}-{config.variant}"
     wanted = Sweep(config, read_axes(axes), seeds, test_levels, shift)
     print(run_sweep(wanted, there, workers=workers, on=on, track=track))

@@ -31,8 +31,8 @@ VERBS = {
     "train": "agents:train",
     "distil": "distil:distil",
     "evaluate": "agents:evaluate",
-    "audit": "audit:audit",
-    "compare": "compare:compare",
+    "audit": "pages:audit",
+    "compare": "pages:compare",
     "reproduce": "experiments:reproduce",
     "sweep": "sweep:sweep",
     "keep": "agents:keep",
@@ -44,7 +44,7 @@ VERBS = {
     "replay": "levels:replay",
     "overlap": "levels:overlap",
     "agency": "agents:agency",
-    "explain": "insight:explain",
+    "explain": "pages:explain",
     "art": "art:art",
     "cache": "cache:cache",
     "import": "published:import_",
@@ -53,13 +53,16 @@ VERBS = {
 }
 
 
+# Earlier names of options, which scripts may have.
+EARLIER = {"--folder": "--out", "--numbers": "--levels", "--others": "--num-levels"}
 # Settings have no prefixes, positional arguments have names, and nobody types None.
 MARKERS = (OmitArgPrefixes, PositionalMetavarFromFieldName, DisallowNone)
 
 
 def run() -> None:
     """Run the verb on the command line; raise ValueError if there is none of that name."""
-    given = sys.argv[1:]
+    given = [re.sub("^--[a-z]+", lambda found: EARLIER.get(found[0], found[0]), word)
+             for word in sys.argv[1:]]  # fmt: skip
     warnings.showwarning = functools.partial(_warn, warnings.showwarning)
     if given == ["--version"]:
         print(version("astray"))

@@ -56,9 +56,7 @@ def on_ray() -> Iterator[Submit]:
 def train_on_node(config: Config, run: Path, track: Tracking | None) -> None:
     """Train in `run` after the process before; raise ValueError if the node does not see it."""
     if not run.is_dir():
-        raise ValueError(
-            f"{run} is not seen by every node; --folder must be one that all nodes share"
-        )
+        raise ValueError(f"{run} is not seen by every node; --out must be one that all nodes share")
     until = time.monotonic() + PATIENCE
     while True:
         try:

@@ -13,7 +13,7 @@ from astray.acting import Policy
 from astray.analysis import video
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, load_shift, matrix, name_of
-from astray.analysis.results import ALL, APART, Result
+from astray.analysis.results import APART, Result
 from astray.analysis.runs import evaluate_policies, names_of, scripts_of
 from astray.analysis.trained import Agent
 from astray.experiments.outcomes import curve_plot
@@ -34,6 +34,10 @@ SIGN = f'<meta name="generator" content="{WRITER}">'.encode()  # in it
 MOST = 8  # agents beside each other
 SIDE, LONGEST = 224, 120  # pixels of a video, steps of an episode in it
 COMPARED = (INTENDED, MISGENERALIZED)
+DIFFERENCES = (
+    "Rate of the first agent minus the second's, in the levels that distinguish the goals if there "
+    "are any; whether two differ is corrected for the number of rows (Holm)"
+)
 
 
 def compare(
@@ -69,17 +73,14 @@ def compare(
     scripts = {one.name for one in scripts_of(world.find(game), between)}
     tested = [one for one in policies if isinstance(one, Agent) or one.name not in scripts]
     result = evaluate_policies(tested, game, shift, levels, variant=variant, longest=longest)
+    rates = _in_order(result.rates, names)
     differences = paired(result, names)
     where: Any = variant or between.test
-    shown: list[Plot] = [_outcomes(result, names), *_curves(policies, names)]
+    shown: list[Plot] = [_outcomes(rates), *_curves(policies, names)]
     told: dict[str, Sequence[Item]] = {
-        "": [
-            *result.verdict.splitlines(),
-            "Written by astray compare.",
-            *([Code(command)] if command else []),
-        ],
-        "Outcomes": [shown[0], Table("outcomes", "Rates and 95 % intervals", result.table)],
-        "In the same levels": [Table("differences", _caption(result), differences)],
+        "": [*result.verdict.splitlines(), Code(command or WRITER)],
+        "Outcomes": [shown[0], Table("outcomes", "Which goal was reached first", rates)],
+        "In the same levels": [Table("differences", DIFFERENCES, differences)],
     }
     players = dict(zip(names, policies, strict=True))
     with files_aside(folder, PAGE, SIGN) as aside:
@@ -102,7 +103,8 @@ def paired(result: Result, names: Sequence[str]) -> pl.DataFrame:
     a 95 % interval over levels), differ (whether the interval excludes 0), levels.
     """
     rows, chances = [], []
-    part = result.episodes.filter("distinguishing") if _apart(result) else result.episodes
+    apart = APART in result.rates["levels_played"]
+    part = result.episodes.filter("distinguishing") if apart else result.episodes
     for first, second in itertools.combinations(names, 2):
         for outcome in COMPARED:
             came = pl.col("outcome") == outcome
@@ -124,18 +126,6 @@ def _name(game: Any, variant: Any) -> str:
     return next((name for name, one in there if one == variant), name_of(variant))
 
 
-def _apart(result: Result) -> bool:
-    return APART in result.rates["levels_played"]
-
-
-def _caption(result: Result) -> str:
-    which = "levels that distinguish the goals" if _apart(result) else "levels"
-    return (
-        f"Rate of the first agent minus the second's in the same {which}, with 95 % intervals over "
-        "levels; whether two differ is corrected for the number of rows (Holm)"
-    )
-
-
 def _answer(differences: pl.DataFrame) -> str:
     """Return the verdict: the largest difference in misgeneralization that is certain."""
     rows = differences.filter("differ", outcome=MISGENERALIZED)
@@ -151,16 +141,18 @@ def _answer(differences: pl.DataFrame) -> str:
     )
 
 
-def _outcomes(result: Result, names: Sequence[str]) -> Plot:
-    which = APART if _apart(result) else ALL
-    scripts = [
-        one for one in result.rates["policy"].unique(maintain_order=True) if one not in names
-    ]
-    order = [*names, *scripts]
+def _in_order(rates: pl.DataFrame, names: Sequence[str]) -> pl.DataFrame:
+    """Return rates, first those of distinguishing levels, and of the named policies."""
+    scripts = [name for name in rates["policy"].unique(maintain_order=True) if name not in names]
+    place = pl.col("policy").replace_strict([*names, *scripts], range(len(names) + len(scripts)))
+    return rates.sort(pl.col("levels_played") != APART, place, maintain_order=True)
+
+
+def _outcomes(rates: pl.DataFrame) -> Plot:
+    which = rates["levels_played"][0]
     data = (
-        result.rates.filter(levels_played=which)
+        rates.filter(levels_played=which)
         .with_columns(who="policy", where=pl.lit(f"{which} levels"))
-        .sort(pl.col("policy").replace_strict(order, range(len(order))), maintain_order=True)
         .select("who", "where", "outcome", "mean", "low", "high")
     )
     return Plot("outcomes", "Which goal was reached first.", charts.outcome_bars(data), data)

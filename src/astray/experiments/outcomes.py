@@ -100,18 +100,18 @@ def findings(work: Work) -> Findings:
         [
             above(
                 f"In levels like those of its training, the agent reaches {shift.intended} first.",
-                "no figure", INTENDED, reached, LEARNED,
+                "", INTENDED, reached, LEARNED,
             ),
             below(
                 f"In the test it reaches {shift.intended} less often than in training.",
-                "no figure",
+                "",
                 f"{INTENDED}, in the test minus in training",
                 rate(work.episodes, test, INTENDED, minus_test=train),
             )
             if not proxies
             else above(
                 f"In the test it reaches {proxies} first more often than {shift.intended}.",
-                "no figure",
+                "",
                 f"{MISGENERALIZED} minus {INTENDED}",
                 rate(tried, test, MISGENERALIZED, minus=INTENDED),
             ),

@@ -245,6 +245,8 @@ def curves(
             axes.set_xticks(range(len(places)), [f"{one}" for one in places])
             if max(len(f"{one}") for one in places) * len(places) * min(columns, len(grid)) > 90:
                 axes.tick_params("x", labelrotation=50, labelsize=8.5)
+        elif data[x].dtype.is_integer():
+            axes.xaxis.get_major_locator().set_params(integer=True)
         if limits:
             axes.set_ylim(limits)
         for which in percent:

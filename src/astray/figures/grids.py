@@ -11,9 +11,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from astray.figures.axes import parts_of, ticks_of
-from astray.figures.style import INK, ON_COLOUR, OTHERS, STYLE, WIDTH
-
-EMPTY = "#eeeeec"  # where a picture shows nothing
+from astray.figures.style import EMPTY, INK, ON_COLOUR, OTHERS, STYLE, WIDTH
 
 
 @matplotlib.rc_context(STYLE)
@@ -84,7 +82,8 @@ class Picture:
 
     Attributes:
         title: Title above it.
-        image: [H, W, 3] uint8, or grey [H, W] from 0 (black) to 1; None for no image.
+        image: [H, W, 3] uint8, or grey [H, W] from 0 (black) to 1, NaN for nothing; None for no
+            image.
         heat: [h, w] values shown as colours, highest row first; NaN for no colour.
         limits: The values at the ends of the colours.
         colours: Name of matplotlib's colour map.
@@ -133,6 +132,7 @@ def _show(figure: Figure, axes: Any, one: Picture) -> None:
     assert shape is not None, "a picture shows an image or values"
     extent = (0, shape.shape[1], 0, shape.shape[0])
     axes.set_facecolor(EMPTY)
+    ink = INK if one.letters else ON_COLOUR  # letters are on what follows a dark theme
     if one.image is not None:
         smooth = "lanczos" if one.image.ndim == 3 else "nearest"
         axes.imshow(one.image, extent=extent, cmap="gray", vmin=0, vmax=1, interpolation=smooth)
@@ -153,7 +153,7 @@ def _show(figure: Figure, axes: Any, one: Picture) -> None:
         cells, arrows = one.arrows
         x, y = (cells + 0.5).T - 0.45 * arrows.T
         axes.quiver(
-            x, y, *(0.9 * arrows.T), angles="xy", scale_units="xy", scale=1, color=ON_COLOUR,
+            x, y, *(0.9 * arrows.T), angles="xy", scale_units="xy", scale=1, color=ink,
             pivot="tail", units="x", width=0.09, headwidth=3.2, headlength=3.2, headaxislength=3,
             edgecolor="white", linewidth=0.4,
         )  # fmt: skip
@@ -164,9 +164,8 @@ def _show(figure: Figure, axes: Any, one: Picture) -> None:
         axes.plot(x + 0.5, y + 0.5, "s", color=colour, markersize=8)
     for (x, y), letter in one.letters.items():
         axes.text(
-            x + 0.5, y + 0.5, letter, ha="center", va="center", fontsize=9, clip_on=True,
-            color=ON_COLOUR,
-        )  # fmt: skip
+            x + 0.5, y + 0.5, letter, ha="center", va="center", fontsize=9, clip_on=True, color=ink
+        )
     if one.window:
         axes.set_xlim(*one.window[:2])
         axes.set_ylim(*one.window[2:])

@@ -27,7 +27,12 @@ GAMMA, LAMBDA = 0.999, 0.95  # the paper's
 LIKELY = 0.02  # mean probability that an action has to be drawn by itself
 MOST_SHOWN = 5  # actions
 STILL = 8  # steps in one place, after which the rest of an episode in it is not drawn
-VALUE, ADVANTAGE, POLICY, VIEW = "value", "advantage of the action taken", "policy", "in view"
+VALUE, ADVANTAGE, POLICY, TRUE = (
+    "value",
+    "advantage of the action taken",
+    "policy",
+    "labels that hold",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +154,8 @@ def _advantages(
 
 def figure(course: Course) -> Figure:
     """Plot value, advantage, policy and visible objects along an episode."""
-    table, marks = course.table.head(len(course.table) - course.idle), course.marks
+    table = course.table.head(len(course.table) - course.idle)
+    marks = [name for name in course.marks if table[name].any()]
     chances = table.select(course.actions).to_numpy().T
     order = np.argsort(-chances.mean(1))[:MOST_SHOWN]
     likely = {course.actions[k]: chances[k] for k in order if chances[k].mean() >= LIKELY}
@@ -160,9 +166,9 @@ def figure(course: Course) -> Figure:
     lines[POLICY, "other actions"] = np.ones(len(table)) - sum(likely.values())
     parts = [_line(*names, table["step"], values) for names, values in lines.items()]
     for k, name in enumerate(marks):  # one above the other, from each step to the next
-        seen = np.where(table[name], len(marks) - k, np.nan)  # broken where it is out of view
+        seen = np.where(table[name], len(marks) - k, np.nan)  # broken where it is not so
         ends = np.stack([table["step"], table["step"] + 1], 1).ravel()
-        parts.append(_line(VIEW, name, ends, seen.repeat(2)))
+        parts.append(_line(TRUE, name, ends, seen.repeat(2)))
     happened = {
         name.replace("_", " "): k
         for name, k in course.events.items()

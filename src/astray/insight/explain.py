@@ -36,7 +36,7 @@ PAGE = "explain.html"
 WRITER = "astray explain"
 SIGN = f'<meta name="generator" content="{WRITER}">'.encode()  # in it
 PIXELS = 384  # a side of a picture
-LIKELIEST = 4  # actions that are named
+LIKELIEST, LEAST = 4, 0.005  # actions that are named: at most, and the probability of each
 PLACES, FEWER = 128, 32  # of an object, at most; fewer where levels are large and episodes long
 
 
@@ -181,9 +181,9 @@ def _fields(asked: Asked) -> list[Section]:
     """Show policy and value everywhere, and the preferred ways."""
     (found,) = fields(asked.agent, asked.variant, {"level": asked.level})
     begin = found.places.number[asked.level.agent]
-    order = np.argsort(-found.policy[begin])[:LIKELIEST]
-    said = ", ".join(f"{asked.level.game.actions[k]} {found.policy[begin, k]:.2f}" for k in order)
-    art, value = asked.agent.art, found.value[begin]
+    policy, art, value = found.policy[begin], asked.agent.art, found.value[begin]
+    order = [k for k in np.argsort(-policy)[:LIKELIEST] if policy[k] >= LEAST]
+    said = ", ".join(f"{asked.level.game.actions[k]} {policy[k]:.2f}" for k in order)
     valued = "" if np.isnan(value) else f"the value is {value:.2f}, and "
     letters = ", ".join(f"{c}: {n}" for n, c in asked.level.game.editing.OBJECTS.items())
     lettered = "" if sees_world(asked.variant) else f" Letters are objects ({letters})."
@@ -203,7 +203,7 @@ def _fields(asked: Asked) -> list[Section]:
             "paths",
             "Which ways it would take",
             "The geometric mean of the probabilities of the steps of the shortest way from the "
-            "beginning to each cell. Grey cells are not reached: an episode ends before them.",
+            "beginning to each cell. Cells without a colour are not reached.",
             field_figures.draw_paths({"from the beginning": found}, art=art),
         ),
     ]
@@ -228,14 +228,7 @@ def _edits(asked: Asked) -> list[Section]:
                 f"Without the {asked.named(name)} at {where[0]}",
                 f"On the mean over places {valued}{100 * change.policy.mean():.0f} % of the policy "
                 "moves to other effects.",
-                field_figures.draw(
-                    {
-                        "as it is": plain,
-                        f"without the {asked.named(name)}": without,
-                        "change": change,
-                    },
-                    art=agent.art,
-                ),
+                field_figures.draw({"without it": without, "change": change}, art=agent.art),
                 change.table(),
             )
         )
@@ -265,7 +258,7 @@ def _moved(asked: Asked, name: str) -> Section:
         f"With the {called} anywhere else",
         f"An episode for each of {len(family)} places: {told}. A cell is bright where "
         f"the agent reaches the intended goal first if the {called} lies there.",
-        images([[shaded]], field_figures.SIZE),
+        field_figures.side_by_side([shaded]),
         played.select("name", "outcome", "return", "length"),
     )
 
@@ -284,7 +277,7 @@ def _attribution(asked: Asked) -> list[Section]:
     figure = images([[
         Picture("what it is in", image),
         Picture("integrated gradients", heat=flat, limits=(-most, most), colours="RdBu",
-                label="part of the value", opacity=1),
+                label="part of the value", opacity=np.sqrt(abs(flat) / most)),
     ]], (3.5, 3.6))  # fmt: skip
     _, (value,) = policy_and_value(agent, shown)
     of_cells = found.ndim == 3 and len(flat) != len(f"{asked.level}".splitlines())
@@ -316,8 +309,8 @@ def _probes(asked: Asked) -> list[Section]:
         "the beginning of this one, and in brackets how well they read levels that they were not "
         "fitted on (balanced accuracy, or R squared, below 0 where the mean would be closer)."
     )
-    cell = pl.format("{} ({})", "read as", pl.col("score").round(2))
-    here = table.with_columns(cell, pl.col("true as").alias("true")).pivot(
+    read = [f"{row['read as']} ({row['score']:.2f})" for row in table.to_dicts()]
+    here = table.with_columns(pl.col("true as").alias("true"), pl.Series("read as", read)).pivot(
         "layer", index=["label", "true"], values="read as", maintain_order=True
     )
     return [Section("What its layers tell", [Table("probes", caption, table, here)])]
@@ -326,12 +319,11 @@ def _probes(asked: Asked) -> list[Section]:
 def _goals(asked: Asked) -> list[Section]:
     """Show the posterior over the goals of its episode."""
     shift = asked.between
-    for goal in (shift.intended, *shift.proxies):
-        cell_of(asked.level, goal)
+    goals = (shift.intended, *shift.proxies)
+    if missing := [goal for goal in goals if not cell_of(asked.level, goal)]:
+        raise ValueError(f"no cell of the level alone is the goal: {', '.join(missing)}")
     levels: Any = {"level": asked.level}
     played = agency.play(asked.agent, asked.level.game, asked.variant, levels, shift)
-    if not played:
-        raise ValueError("the level does not have all the goals")
     found = agency.assess(played)
     row = found.episodes.row(0, named=True)
     table = pl.DataFrame(

@@ -1,6 +1,7 @@
 """Figures of fields: arrows and values over levels, side by side."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,19 +9,20 @@ from matplotlib.figure import Figure
 
 from astray.envs.pictures import picture
 from astray.figures.grids import Picture, images
-from astray.figures.style import save
+from astray.figures.style import WIDTH, save
 from astray.game import OWN
 from astray.insight.fields import Change, Field
 from astray.insight.interventions import sees_world
 from astray.level import EMPTY, Level
 from astray.validation import of_kind
 
-__all__ = ["draw", "draw_paths", "heat_map", "save"]
+__all__ = ["draw", "draw_paths", "heat_map", "save", "side_by_side"]
 PIXELS = 480  # a side of a level's picture
 VEIL = 0.45  # of white before the picture, so that arrows are seen
-SIZE, SMALLER = (4.7, 4.2), (2.9, 2.7)  # inches of a panel, with its bar of colours; of several
+SIZE, SMALLER = (4.7, 4.2), (3.5, 3.1)  # inches of a panel, with its bar of colours; of several
+FLAT = 0.7  # height of a level's drawing over its width, below which panels lie one upon the other
 VALUES, CHANGES, PATHS = "viridis", "RdBu_r", "magma"  # told apart by every colour vision
-LEAST_CHANGE = 1e-6  # of values, so that a change of none has a scale
+LEAST_CHANGE = 0.01  # of values, so that a change of none has a scale
 
 
 def draw(panels: Mapping[str, Field | Change], *, art: str = OWN) -> Figure:
@@ -48,7 +50,7 @@ def draw(panels: Mapping[str, Field | Change], *, art: str = OWN) -> Figure:
                 arrows=(one.cells, one.arrows),
             )
         )  # fmt: skip
-    return images([row], SIZE if len(row) == 1 else SMALLER)
+    return side_by_side(row)
 
 
 def draw_paths(panels: Mapping[str, Field], *, art: str = OWN) -> Figure:
@@ -62,7 +64,19 @@ def draw_paths(panels: Mapping[str, Field], *, art: str = OWN) -> Figure:
         heat_map(*one, art=art, title=title, label="path probability")
         for title, one in ways.items()
     ]
-    return images([row], SIZE)
+    return side_by_side(row)
+
+
+def side_by_side(row: Sequence[Picture]) -> Figure:
+    """Draw pictures of levels in the same cells: in a row, or in a column if they are flat."""
+    if row[0].window:
+        low, high = (pick([one.window for one in row], 0) for pick in (np.min, np.max))
+        window = (low[0], high[1], low[2], high[3])
+        row = [replace(one, window=window) for one in row]
+        flat = (window[3] - window[2]) / (window[1] - window[0])
+        if flat < FLAT:
+            return images([[one] for one in row], (WIDTH, 0.6 + 0.8 * WIDTH * flat))
+    return images([row], SIZE if len(row) == 1 else SMALLER)
 
 
 def heat_map(
@@ -81,7 +95,7 @@ def heat_map(
     else:
         legend = level.game.editing.LEGEND
         free = [legend[EMPTY], *(legend[char] for char in level.game.editing.OBJECTS.values())]
-        image = np.where(np.isin(level.cells, free), 1.0, 0.75)[::-1]
+        image = np.where(np.isin(level.cells, free), np.nan, 0.65)[::-1]
         things = [cell for name in level.game.editing.OBJECTS for cell in level.where(name)]
         seen = np.array([*cells.tolist(), level.agent, *things])
         (left, low), (right, high) = seen.min(0) - 1, seen.max(0) + 2

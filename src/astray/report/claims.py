@@ -20,7 +20,7 @@ class Claim:
     """A tested claim."""
 
     sentence: str
-    paper: str  # what the paper says of it
+    paper: str  # what the paper says of it; empty if nothing
     ours: str  # what was measured, its interval, and when the claim is supported
     supported: bool
     why: str = ""  # where it not supported: what else was measured of the reason

@@ -29,6 +29,7 @@ MEDIA = {".png": "image/png", ".svg": "image/svg+xml", ".mp4": "video/mp4"}
 NOTHING = "—"
 MEAN = ("mean", "low", "high")
 UNTOLD = ("rows", "freedom")  # of tables: what intervals were computed with
+WHOLE = re.compile(r"(?<![\w-])(?:--\w[\w-]*|-?\w+(?:-\w+)+)")  # an option, a name with dashes
 
 
 def write(
@@ -155,8 +156,8 @@ def _render(template: str, **what: Any) -> str:
 
     environment = templates("astray.report")
     kind = {"kind": lambda item: type(item).__name__}
-    more = {"embedded": embedded, "laid_out": laid_out, "coded": coded, "points": points}
-    environment.filters |= more | kind
+    more = {"embedded": embedded, "laid_out": laid_out, "points": points}
+    environment.filters |= more | kind | {"code": code, "coded": coded}
     script = files("astray.report").joinpath("hover.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return environment.get_template(template).render(script=Markup(script), digest=digest, **what)
@@ -164,7 +165,12 @@ def _render(template: str, **what: Any) -> str:
 
 def coded(text: str) -> Markup:
     """Escape text for HTML, with parts between backticks as code."""
-    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+    return Markup(re.sub("`([^`]+)`", lambda part: code(Markup(part[1])), str(escape(text))))
+
+
+def code(text: str) -> Markup:
+    """Return escaped code, in which no line ends within an option or a name with dashes."""
+    return Markup("<code>" + WHOLE.sub(r"<span>\g<0></span>", str(escape(text))) + "</code>")
 
 
 def embedded(path: Path) -> str:
@@ -185,13 +191,15 @@ def embedded(path: Path) -> str:
 def laid_out(frame: pl.DataFrame) -> tuple[dict[str, tuple[bool, list[str]]], str]:
     """Return a table as it is shown, and a note on it.
 
-    Intervals are next to their means, and outcomes side by side in percent. Constant columns are in
-    the note, except yes and no, which are findings. Empty columns, and those that intervals were
-    computed from, are left out.
+    Intervals are next to their means, and outcomes side by side in percent. With scripts, agents
+    are named as policies. Constant columns are in the note, except yes and no, which are findings.
+    Empty columns, and those that intervals were computed from, are left out.
 
     Returns:
         For each column its heading, whether it is numeric, and its cells as text.
     """
+    if {"agent", "policy"} <= {*frame.columns} and frame["agent"].has_nulls():  # of scripts
+        frame = frame.with_columns(pl.coalesce("agent", "policy").alias("policy")).drop("agent")
     if "outcome" in frame.columns:
         frame = frame.with_columns(pl.col(name for name in MEAN if name in frame.columns) * 100)
     means = dict(_means(frame))
@@ -216,8 +224,8 @@ def laid_out(frame: pl.DataFrame) -> tuple[dict[str, tuple[bool, list[str]]], st
 
 def _said(name: str, value: str, kind: pl.DataType) -> str:
     """Return a column's one value in words, as "97 levels", "size 25" or "test “training”"."""
-    if kind.is_integer() and value != "1" and name.endswith("s"):
-        return f"{value} {name}"
+    if kind.is_integer() and name.endswith("s"):
+        return f"{value} {name if value != '1' else name[:-1]}"
     return f"{name} {value}" if kind.is_numeric() else f"{name} “{value}”"
 
 

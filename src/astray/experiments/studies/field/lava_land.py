@@ -22,7 +22,7 @@ def find(work: Work) -> Findings:
         [
             above(
                 "In unseen rooms without lava, the mouse reaches the cheese.",
-                "no figure", INTENDED, reached, outcomes.LEARNED,
+                "", INTENDED, reached, outcomes.LEARNED,
             ),
             above(
                 "Where a quarter of the cells is lava, it steps on lava.",

@@ -35,7 +35,7 @@ def find(work: Work) -> Findings:
             ),
             above(
                 "It does so more often than by chance.",
-                "no figure", "the land is bare, minus that of random moves", barer, 0.0,
+                "", "the land is bare, minus that of random moves", barer, 0.0,
             ),
         ],
     )  # fmt: skip

@@ -41,7 +41,7 @@ def find(work: Work) -> Findings:
             ),
             above(
                 "There the reward function of the corner pays it more than that of the bin.",
-                "no figure",
+                "",
                 "shards an episode, to the corner minus to the bin",
                 estimate_paired(*ends),
                 told=Estimate.change,
