@@ -36,6 +36,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.experiments import catalogue
 from astray.experiments.spec import Plan
 from astray.game import Game, Variant, knobs
+from astray.lab.agents import Agents
 from astray.lab.export import export
 from astray.lab.serving import make_lab
 from astray.training import folders
@@ -129,11 +130,18 @@ def with_lab(text: str) -> str:
     ])  # fmt: skip
 
 
+@functools.cache
+def kept() -> dict[str, dict[str, Any]]:
+    """What the lab tells of each pretrained agent."""
+    agents = Agents.of({})
+    return {name: agents.about(name) for name in folders.pretrained()}
+
+
 def card(name: str) -> str:
     """The card of a pretrained agent, with a link to the level of its video in the lab."""
     text = (folders.find(name) / "README.md").read_text()
-    about = make_lab(name, {}).start
-    address = f"../../lab/index.html#game={about['game']}&variant={about['variant']}&agent={name}"
+    about = kept()[name]
+    address = f"../../lab/index.html#game={about['game']}&variant={about['test']}&agent={name}"
     picture = "(episode.gif)\n"
     return text.replace(
         picture, picture + f'\n<a href="{address}">Play it in the lab</a>, and move things.\n', 1
@@ -142,9 +150,7 @@ def card(name: str) -> str:
 
 def in_lab(plan: Plan) -> str:
     """A link to the lab with an experiment's test levels, where a pretrained agent sees such."""
-    lab = make_lab(None, {})
-    for name in folders.pretrained():
-        about = lab.agents.about(name)
+    for name, about in kept().items():
         for test in plan.tests.values():
             if about["game"] == plan.game.name and test.variant in (
                 about["test"],
