@@ -220,3 +220,7 @@ def test_the_nearest_key_is_told():
         best = away[:, np.hypot(*away).argmin()]
         assert dx == pytest.approx(best[0]) and quarter == (best[0] > 0) + 2 * (best[1] > 0)
     assert isinstance(near, np.ndarray) and pl.Series(near).n_unique() > 1
+
+
+def test_a_reading_of_nothing_has_no_sign():
+    assert probes._as_text(lambda s: s, np.dtype(float), -0.04) == "0.0"

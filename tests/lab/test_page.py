@@ -257,6 +257,33 @@ def test_ways_are_offered_to_the_goals_of_the_level(page):
     assert offered() == ["cheese", "dish", "corner"]
 
 
+def test_a_way_is_drawn_below_the_agent(page):
+    look = """async (cells) => {
+      lab.way = cells && { cells };
+      lab.stage.redraw();
+      for (let k = 0; k < 2; k++) await new Promise(requestAnimationFrame);
+      const { canvas, state: { x, y }, frame: { rows }, scale } = lab.stage;
+      const copy = new OffscreenCanvas(canvas.width, canvas.height)
+        .getContext("2d", { willReadFrequently: true });
+      copy.drawImage(canvas, 0, 0);
+      const at = (x, y) => [...copy.getImageData(x * scale, (rows - y) * scale, 1, 1).data];
+      return [at(x, y), at(x, y + 1)].join(";");
+    }"""
+    x, y = page.evaluate("[lab.stage.state.x, lab.stage.state.y]")
+    before, after = (page.evaluate(look, way).split(";") for way in (None, [[x, y], [x, y + 1]]))
+    assert before[0] == after[0] and before[1] != after[1]
+    page.evaluate(look, None)
+
+
+@pytest.mark.parametrize("height", [900, 1000])
+def test_panels_are_in_two_columns_beside_the_board_of_a_wide_window(chrome, static, height):
+    with opened(chrome, static, viewport={"width": 1400, "height": height}) as (page, _):
+        lefts = (
+            "[...document.querySelectorAll('aside > *')].map((e) => e.getBoundingClientRect().left)"
+        )
+        assert len({left for left in page.evaluate(lefts) if left}) == 2
+
+
 def test_a_splay_is_shown_with_counts(page):
     show(page, ROOM)
     page.get_by_role("button", name="Play them all").click()

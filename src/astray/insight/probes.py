@@ -286,7 +286,7 @@ def _as_text(measure: Measure, kind: np.dtype, value: float) -> str:
         return measure.names[int(value)]
     if kind.kind == "b":
         return "yes" if value else "no"
-    return f"{value:.1f}" if kind.kind == "f" else f"{int(value)}"
+    return f"{value:z.1f}" if kind.kind == "f" else f"{int(value)}"
 
 
 def fit(x: np.ndarray, y: np.ndarray, learn: np.ndarray, seed: int) -> float:

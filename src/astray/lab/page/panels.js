@@ -381,7 +381,7 @@ export class Panels {
     const { lab, part } = this;
     const box = part("tour");
     const told = [
-      "1 of 3. In training, the intended goal and a proxy were always together. Here they need not be: drag one away.",
+      "1 of 3. In training, a proxy was as good as the intended goal. Here it need not be: drag something elsewhere.",
       "2 of 3. Hand over to the agent, and see which one it goes to first.",
       "3 of 3. “Wherever it lies” plays an episode for every place. The panels look inside the agent.",
     ];

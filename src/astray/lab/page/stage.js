@@ -77,6 +77,8 @@ export class Stage {
     this.paintWorld(paint, this.scale, rows, this.state, () => {
       this.#agent(brush);
       this.#rings(brush);
+      if (!lab.broken && lab.now > 0 && !lab.rules.real_time) this.#trail(brush);
+      if (!lab.broken && lab.way) drawRoute(brush, lab.way, "#2e6db4", EDGE);
     });
     this.#marks(brush);
     lab.panels.legend(this.layers);
@@ -162,8 +164,6 @@ export class Stage {
     const { paint, scale, top } = brush;
     const ink = themed(this.canvas, "--held");
     if (!lab.broken) {
-      if (lab.now > 0 && !lab.rules.real_time) this.#trail(brush);
-      if (lab.way) drawRoute(brush, lab.way, "#2e6db4", EDGE);
       const { view } = lab.look;
       if (view && !lab.part("zoom").checked) {
         const { x, y } = this.state;

@@ -5,6 +5,7 @@ import { themed } from "./colours.js";
 
 const EDGE = 8; // pixels around a chart
 const AXIS = 42; // pixels of the numbers at its left
+const INK = "#22231f"; // on the colours of goals, in both themes
 const { CLIP } = clipped; // of divided rewards
 
 // A canvas as sharp as the screen; its size in CSS pixels.
@@ -37,7 +38,7 @@ function stroke(paint, points, colour, width, dashes = []) {
 }
 
 function cursor(paint, x, height, colour) {
-  stroke(paint, [[x, 2], [x, height - 14]], colour, 1);
+  stroke(paint, [[x, 18], [x, height - 14]], colour, 1); // below the names
 }
 
 // goals: {name: [T + 1]}, stacked from below; agent: [T + 1] or null, a dashed line.
@@ -60,7 +61,7 @@ export function drawPosterior(canvas, { goals, agent }, colours, now) {
     else paint.fill();
     below = above;
   }
-  if (agent) stroke(paint, agent.map((rate, t) => [across(t), down(rate)]), ink, 1.6, [4, 3]);
+  if (agent) stroke(paint, agent.map((rate, t) => [across(t), down(rate)]), INK, 1.6, [4, 3]);
   axis(paint, [[0, "0 %"], [0.5, "50 %"], [1, "100 %"]], down, soft, line, width);
   steps(paint, last, across, height, soft);
   cursor(paint, across(Math.min(now, last)), height, ink);
