@@ -76,6 +76,11 @@ class WorldVariant:
             )
         for name in ("observation_space", "action_space"):
             of_kind(f"the {name} of {self}", getattr(made, name, None), gymnasium.Space)
+        if made.action_space.shape is None:
+            raise ValueError(
+                f"actions of {self} must be numbers or arrays: Discrete, Box, MultiDiscrete or "
+                f"MultiBinary; got {shown(made.action_space)}"
+            )
         return made
 
     def rendered(self) -> WorldVariant:
@@ -231,8 +236,7 @@ class World:
 
     def drawn(self, art: str) -> None:
         """Raise ValueError for any art except the world's own."""
-        if art != OWN:
-            raise ValueError(f"unknown art {shown(art)} of {self.name}; there are: {OWN}")
+        one_of("art", art, (OWN,), of=self.name)
 
     event_goals = Game.event_goals
 

@@ -2,6 +2,8 @@
 
 import base64
 import json
+import runpy
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.lab import translate
 from astray.lab.worlds import snapshot
 from astray.level import Level
-from helpers.browsed import PLAY, knobs
+from helpers.browsed import PLAY, knobs, opened
 
 STEPS = 150  # of each episode at random, each three times
 PLAYED = [
@@ -90,10 +92,88 @@ def compare(page, name, kind, episodes):
         assert ended or len(told) == len(actions) + 1
 
 
-def test_what_cannot_be_translated_is_refused_by_its_name():
-    with pytest.raises(ValueError, match=r"asks must be translated for .*, which knows no 'lambda"):
-        translate.Translation().name(asks)
+REFUSED = {
+    "return (lambda: s)()": "asks must be translated for .*, which knows no 'lambda",
+    "for k in range(3):\n  s.a = k\n else:\n  s.a = 7": "knows no 'for k in range",
+    "while s.a < 3:\n  s.a += 1\n else:\n  s.a = 7": "knows no 'while s.a",
+    "for k in TABLE:\n  s.a += k": "knows no 'for k in TABLE",
+    "for k in other(s):\n  s.a += k": "knows no 'for k in other",
+    "s.cell[1:] = 4": "knows no '1:'",
+    "return TABLE[-1]": r"knows no 'TABLE\[-1\]'",
+    "return s.cell.size": "knows no 's.cell.size'",
+    "return s.cell.sum()": "knows no 's.cell.sum'",
+    "return ~s.a": "knows no '~s.a'",
+    "return math.sqrt(s.a)": "knows no 'sqrt'",
+    "return np.int32(s.a)": "knows no 'int32'",
+    "return float(s.a)": "knows no 'float'",
+    "return usual(s)": "usual must be translated .*, which knows no '3'",
+    "return Kind.WALL": "knows no 'Kind.WALL'",
+    "return NAMES[0]": r"the constant NAMES of a page must be numbers; got \['a'\]",
+    "return np.empty((2, 3))[1, 1]": "knows no 'empty'",
+    "return unheard": "knows no 'unheard'",
+}
 
+
+@pytest.mark.parametrize("body", REFUSED)
+def test_what_cannot_be_translated_is_refused_by_its_name(tmp_path, body):
+    with pytest.raises(ValueError, match=REFUSED[body]):
+        translated(tmp_path, body)
+
+
+KERNELS = """\
+import math
+from enum import IntEnum
+
+import numpy as np
+
+TABLE, NAMES, catch_ = (4, 5), ["a"], 9
+
+class Kind(IntEnum):
+    WALL = 5
+
+def usual(s, n=3):
+    return n
+
+def catch(s):
+    return 3
+
+def world(s):
+    return catch(s) + catch_
 
 def asks(s):
-    return (lambda: s)()
+ """
+
+
+def translated(folder, body):
+    """A kernel of that body, in Python and in JavaScript with all that it needs."""
+    (folder / "kernels.py").write_text(KERNELS + body + "\n")
+    found = runpy.run_path(str(folder / "kernels.py"))
+    made = translate.Translation({"a", "cell"})
+    assert made.name(found["asks"]) == "asks"
+    return found["asks"], "\n".join([*made.constants.values(), *made.functions])
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "for k in range(4):\n  s.a += k\n return k",  # the last one, after the loop
+        "for k in range(6):\n  k += 2\n  s.a += k\n return s.a",
+        "for k in range(s.a + 3):\n  s.a += 1\n return s.a",
+        "for k in range(5, -1, -2):\n  s.a = 10 * s.a + k\n return s.a",
+        "for k in range(3):\n  for k in range(2):\n   s.a += k\n  s.a += 10 * k\n return s.a",
+        "return (1 << 40) | (5 & 4) | (2199023255552 >> 1)",
+        "typeof, static = 3, 4\n return typeof + static + world(s)",
+    ],
+)
+def test_a_kernel_returns_what_it_does_in_python(chrome, static, exported, tmp_path, body):
+    asks, there = translated(tmp_path, body)
+    imported = f'import {{ {", ".join(translate.NAMES)} }} from "./grid.js";\nconst world = 0;'
+    (exported / "rules" / "asks.js").write_text(f"{imported}\n{there}\nexport {{ asks }};\n")
+    with opened(chrome, static, "true") as (page, _):
+        told = page.evaluate(
+            """async () => {
+              const { asks } = await import(new URL("rules/asks.js", location.href));
+              return asks({ a: 0 });
+            }"""
+        )
+    assert told == asks(SimpleNamespace(a=0))

@@ -189,19 +189,9 @@ class Learner:
     """The network of a running training as a policy; see `from_trainer`."""
 
     trainer: Trainer
-    mode: Literal["sampled", "greedy"]
-
-    @property
-    def name(self) -> str:
-        return self.mode
-
-    @property
-    def observation(self) -> Observation:
-        return self.trainer.config.observation
-
-    @property
-    def art(self) -> str:
-        return self.trainer.config.art
+    name: Literal["sampled", "greedy"]
+    observation: Observation
+    art: str
 
     def actions(self, turn: Turn) -> Answer:
         config, network, memory = self.trainer.config, self.trainer.network, None
@@ -211,7 +201,7 @@ class Learner:
         else:
             shown = torch.from_numpy(turn.observations).to(config.device)
             logits = trained.outputs(network, shown, chunk)[0]
-        return Answer(chosen(logits, self.mode, config.seed, turn.env), memory)
+        return Answer(chosen(logits, self.name, config.seed, turn.env), memory)
 
 
 def from_trainer(trainer: Trainer, mode: Literal["sampled", "greedy"] = "sampled") -> Learner:
@@ -221,4 +211,4 @@ def from_trainer(trainer: Trainer, mode: Literal["sampled", "greedy"] = "sampled
         mode: "sampled" samples actions from the policy, "greedy" takes the most likely.
     """
     one_of("mode", mode, Literal["sampled", "greedy"])
-    return Learner(trainer, mode)
+    return Learner(trainer, mode, trainer.config.observation, trainer.config.art)

@@ -55,16 +55,9 @@ class WorldVectorEnv:
         )
         self.single_action_space = self._envs.single_action_space
         self.single_observation_space = self._envs.single_observation_space
-        space = self.single_observation_space
-        if self.single_action_space.shape is None:
-            raise ValueError(
-                f"actions of {self.variant} must be numbers or arrays: Discrete, Box, "
-                f"MultiDiscrete or MultiBinary; got {shown(self.single_action_space)}"
-            )
         # Images of bytes are in their space; to look takes as long as a quick environment's step.
-        self._trusted = space.dtype == np.uint8 and space == spaces.Box(
-            0, 255, space.shape, np.uint8
-        )
+        full = spaces.Box(0, 255, self.single_observation_space.shape or (), np.uint8)
+        self._trusted = self.single_observation_space == full
         self.states = np.zeros(num_envs, world.state).view(np.recarray)
 
     def reset(
@@ -182,11 +175,9 @@ class WorldVectorEnv:
                     raise ValueError(
                         f"{self.variant}, level {level}, step {time}: the observation has NaN"
                     )
-        if self._trusted or self._envs.observation_space.contains(seen):
-            return
-        self._trusted = True
-        space = self.single_observation_space
-        _tell(f"observations of {self.game.name} are not all in {space}")
+        if not self._trusted and not self._envs.observation_space.contains(seen):
+            self._trusted, space = True, self.single_observation_space
+            _tell(f"observations of {self.game.name} are not all in {space}")
 
     def _check_actions(self, actions: Any) -> None:
         space, n = self.single_action_space, self.num_envs

@@ -5,12 +5,12 @@ Kernels are a small part of Python: numbers, loops, fields of a state. `module` 
 """
 
 import ast
+import builtins
 import inspect
 import json
 import textwrap
 import typing
-from collections.abc import Callable, Iterator
-from types import ModuleType
+from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from astray.game import Game, knobs
 from astray.grid.rules import settle
 from astray.kernel.rng import below
 from astray.lab.worlds import snapshot
+from astray.validation import shown
 
 # What the page has itself: Python's functions -> JavaScript's, as "name" or "Math.name".
 OWN = {grid.where: "where", settle: "settle", below: "below"}
@@ -28,18 +29,23 @@ BUILT_IN: dict[Any, str] = {
     np.sign: "Math.sign", np.int64: "Math.trunc", np.floor: "Math.floor", np.ceil: "Math.ceil",
 }  # fmt: skip
 SIGNS: dict[type, str] = {
-    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitOr: "|", ast.BitAnd: "&",
-    ast.LShift: "<<", ast.RShift: ">>", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=",
-    ast.Eq: "==", ast.NotEq: "!=", ast.USub: "-", ast.UAdd: "+", ast.Not: "!",
-    ast.And: "&&", ast.Or: "||",
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=",
+    ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.USub: "-", ast.UAdd: "+",
+    ast.Not: "!", ast.And: "&&", ast.Or: "||",
 }  # fmt: skip
-CALLS: dict[type, str] = {ast.FloorDiv: "floorDiv", ast.Mod: "mod"}  # by the page's functions
-WORDS = frozenset((
-    "new", "in", "delete", "function", "var", "let", "class", "case", "default", "this", "switch",
-    "void",
-))  # fmt: skip
+CALLS: dict[type, str] = {  # by the page's functions; JavaScript's own bits are 32
+    ast.FloorDiv: "floorDiv", ast.Mod: "mod", ast.BitOr: "bitOr", ast.BitAnd: "bitAnd",
+    ast.LShift: "shiftLeft", ast.RShift: "shiftRight",
+}  # fmt: skip
+NUMPY = np.ndarray | np.generic
 # Of `page/rules/grid.js`:
-NAMES = ["below", "fill", "floorDiv", "gridRules", "mod", "or", "settle", "where", "yes"]
+NAMES = ["below", "fill", "gridRules", "or", "settle", "where", "yes", *CALLS.values()]
+WORDS = frozenset(  # that mean something else in a module of JavaScript, and those of ours
+    "arguments await case catch class const debugger default delete do enum eval export extends "
+    "false finally function implements in instanceof interface let new null package private "
+    "protected public static super switch this throw true typeof undefined var void yield "
+    f"Array Boolean Math Number String rules world {' '.join(NAMES)}".split()
+)
 
 
 def module(game: Game) -> str:
@@ -50,9 +56,9 @@ def module(game: Game) -> str:
     """
     world = grid.world_of(game)
     assert world
-    made = Translation()
-    step, furnish, seek = (made.name(f) for f in (game.rules.step, world.furnish, world.seek))
     (variant, *_) = game.variants.values()
+    made = Translation({*(game.state.names or ()), *knobs(type(variant))})
+    step, furnish, seek = (made.name(f) for f in (game.rules.step, world.furnish, world.seek))
     choices = {name: list(typing.get_args(kind)) for name, kind in knobs(type(variant)).items()}
     told = {
         "LEGEND": game.editing.LEGEND, "STOOD_ON": game.editing.STOOD_ON,
@@ -85,7 +91,8 @@ def _numbers(game: Game) -> list[str]:
 class Translation:
     """Kernels as JavaScript functions, with the constants that they use."""
 
-    def __init__(self) -> None:
+    def __init__(self, fields: Collection[str]):
+        self.fields = fields  # of states and variants; arrays have none on a page
         self.functions: list[str] = []
         self.constants: dict[str, str] = {}
         self._names: dict[Any, str] = {}
@@ -96,16 +103,18 @@ class Translation:
             return OWN[kernel]
         function = inspect.unwrap(getattr(kernel, "py_func", kernel))
         if function not in self._names:
-            taken = {*self._names.values(), *self.constants, *NAMES}
-            name = function.__name__
+            taken = {*self._names.values(), *self.constants}
+            name = _word(function.__name__)
             self._names[function] = name if name not in taken else f"{name}_{len(taken)}"
             self.functions.append(_Function(self, function).text())
         return self._names[function]
 
     def constant(self, name: str, value: Any) -> str:
-        """Return the JavaScript name of a constant; raise TypeError if it is not plain data."""
+        """Return the JavaScript name of a constant; raise ValueError if it is not plain data."""
+        if type(value) not in (int, float, bool, tuple) and not isinstance(value, NUMPY):
+            raise ValueError(f"the constant {name} of a page must be numbers; got {shown(value)}")
         line = f"const {name} = {json.dumps(value, default=lambda array: array.tolist())};"
-        while self.constants.setdefault(name, line) != line:
+        while name in self._names.values() or self.constants.setdefault(name, line) != line:
             name += "_"
             line = f"const {name} = {line.partition(' = ')[2]}"
         return name
@@ -120,6 +129,8 @@ class _Function:
 
     def text(self) -> str:
         tree: Any = self.tree
+        if usual := [*tree.args.defaults, *tree.args.kw_defaults]:
+            raise self._unknown(usual[0])
         self.arguments = [arg.arg for arg in tree.args.args]
         names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
         stored = [name.id for name in names if isinstance(name.ctx, ast.Store)]
@@ -146,7 +157,7 @@ class _Function:
                 yield "break;"
             case ast.Continue():
                 yield "continue;"
-            case ast.Assign(targets=[ast.Subscript(value=whole, slice=ast.Slice())], value=value):
+            case ast.Assign([ast.Subscript(whole, ast.Slice(None, None, None))], value):
                 yield f"fill({self.of(whole)}, {self.of(value)});"
             case ast.Assign(targets=[target], value=value):
                 yield f"{self.of(target)} = {self._stored(target, value)};"
@@ -160,20 +171,21 @@ class _Function:
                     yield "} else {"
                     yield from self._block(other)
                 yield "}"
-            case ast.While(test=test, body=body):
+            case ast.While(test=test, body=body, orelse=[]):
                 yield f"while (yes({self.of(test)})) {{"
                 yield from [*self._block(body), "}"]
-            case ast.For(target=ast.Name(id=name), iter=ast.Call(args=args), body=body):
+            case ast.For(ast.Name(id=name), ast.Call(ast.Name("range"), args), body, []):
                 yield self._loop(_word(name), [self.of(arg) for arg in args])
                 yield from [*self._block(body), "}"]
             case _:
                 raise self._unknown(node)
 
     def _loop(self, name: str, ends: list[str]) -> str:
-        first, last = ends[:2] if len(ends) > 1 else ["0", ends[0]]
-        by = ends[2] if len(ends) > 2 else "1"
-        within = f"{by} > 0 ? {name} < {last} : {name} > {last}" if len(ends) > 2 else ""
-        return f"for ({name} = {first}; {within or f'{name} < {last}'}; {name} += {by}) {{"
+        """Return the head of a loop; like Python's, its body changes neither course nor end."""
+        first, last, by = [*(["0"] if len(ends) == 1 else []), *ends, "1"][:3]
+        begin = f"let {name}$ = {first}, {name}$end = {last}, {name}$by = {by}"
+        within = f"({name}$end - {name}$) * {name}$by > 0"
+        return f"for ({begin}; {within}; {name}$ += {name}$by) {{ {name} = {name}$;"
 
     def _stored(self, target: Any, value: Any) -> str:
         """Return a value as fields of a state hold it: a truth is a number there."""
@@ -192,12 +204,14 @@ class _Function:
                 return _word(name) if name in self.local else self._global(name)
             case ast.Attribute(value=ast.Name(id=name), attr=attribute) if self._is_module(name):
                 return self._found(attribute, getattr(self.function.__globals__[name], attribute))
-            case ast.Attribute(value=value, attr=attribute):
+            case ast.Attribute(value=value, attr=attribute) if attribute in self.made.fields:
                 return f"{self.of(value)}.{attribute}"
             case ast.Subscript(value=ast.Attribute(value=array, attr="shape"), slice=place):
                 return f"{self.of(array)}{'[0]' * ast.literal_eval(place)}.length"
             case ast.Subscript(value=value, slice=place):
                 places = place.elts if isinstance(place, ast.Tuple) else [place]
+                if any(isinstance(one, ast.UnaryOp) for one in places):  # from the end
+                    raise self._unknown(node)
                 return self.of(value) + "".join(f"[{self.of(one)}]" for one in places)
             case ast.Tuple(elts=parts) | ast.List(elts=parts):
                 return f"[{', '.join(map(self.of, parts))}]"
@@ -205,7 +219,7 @@ class _Function:
                 return f"(yes({self.of(test)}) ? {self.of(body)} : {self.of(other)})"
             case ast.UnaryOp(op=ast.Not(), operand=value):
                 return f"!yes({self.of(value)})"
-            case ast.UnaryOp(op=op, operand=value):
+            case ast.UnaryOp(op=op, operand=value) if type(op) in SIGNS:
                 return f"({SIGNS[type(op)]}{self.of(value)})"
             case ast.BoolOp(op=ast.Or(), values=[value, other]):
                 return f"or({self.of(value)}, () => {self.of(other)})"
@@ -237,27 +251,28 @@ class _Function:
 
     def _call(self, function: Any, args: list[Any]) -> str:
         whole = ast.unparse(function)
-        if whole == "np.empty":
+        if whole == "np.empty" and not isinstance(args[0], ast.Tuple):
             return f"Array({self.of(args[0])}).fill(0)"
         if whole == "len":
             return f"{self.of(args[0])}.length"
         return f"{self.of(function)}({', '.join(map(self.of, args))})"
 
     def _is_module(self, name: str) -> bool:
-        return name not in self.local and isinstance(
-            self.function.__globals__.get(name), ModuleType
-        )
+        return name not in self.local and inspect.ismodule(self.function.__globals__.get(name))
 
     def _global(self, name: str) -> str:
-        there = self.function.__globals__
-        value = there[name] if name in there else vars(__import__("builtins"))[name]
-        return self._found(name, value)
+        there = vars(builtins) | self.function.__globals__
+        if name not in there:  # of a function around it
+            raise self._unknown(ast.Name(name))
+        return self._found(name, there[name])
 
     def _found(self, name: str, value: Any) -> str:
         """Return the name of a constant or function."""
-        if callable(value):
-            return BUILT_IN.get(value) or self.made.name(value)
-        return self.made.constant(_word(name), value)
+        if not callable(value):
+            return self.made.constant(_word(name), value)
+        if value not in BUILT_IN and not inspect.isfunction(getattr(value, "py_func", value)):
+            raise self._unknown(ast.Name(name))
+        return BUILT_IN.get(value) or self.made.name(value)
 
     def _unknown(self, node: Any) -> ValueError:
         return ValueError(
@@ -268,4 +283,4 @@ class _Function:
 
 def _word(name: str) -> str:
     """Return a name that JavaScript may have."""
-    return f"{name}_" if name in WORDS or name in NAMES else name
+    return f"{name}_" if name in WORDS else name

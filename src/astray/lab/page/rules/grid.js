@@ -11,6 +11,10 @@ const { OVER } = counted;
 
 export const floorDiv = (a, b) => Math.floor(a / b);
 export const mod = (a, b) => a - b * Math.floor(a / b);
+export const bitOr = (a, b) => Number(BigInt(a) | BigInt(b));
+export const bitAnd = (a, b) => Number(BigInt(a) & BigInt(b));
+export const shiftLeft = (a, b) => Number(BigInt(a) << BigInt(b));
+export const shiftRight = (a, b) => Number(BigInt(a) >> BigInt(b));
 export const yes = (x) => (Array.isArray(x) ? x.length > 0 : Boolean(x));
 export const or = (one, other) => (yes(one) ? one : other());
 export const below = (s, n) => s.draws.below(n);

@@ -2,7 +2,7 @@
 
 import { NEVER, unreachable } from "./common.js";
 import { heist, thief } from "./constants.js";
-import { begin, left, move, places as placesOf, planes as planesOf, put, touches, ways } from "./thief.js";
+import { begin, copy, left, move, places as placesOf, planes as planesOf, put, touches, ways } from "./thief.js";
 
 const { COLOURS, KEY, DOOR_CODE, GEM, REWARD, KEY_X, KEY_Y, GEM_X, GEM_Y, OBJECTS, LEGEND } = heist;
 const {
@@ -23,10 +23,6 @@ function build(level, variant) {
   s.keys |= s.hand;
   s.all_keys = s.hand && s.hand === s.keys ? 0 : NEVER;
   return s;
-}
-
-function copy(s) {
-  return { ...s, gone: [...s.gone], draws: s.draws.copy() };
 }
 
 function step(s, action) {

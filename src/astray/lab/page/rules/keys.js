@@ -2,7 +2,7 @@
 
 import { NEVER, unreachable } from "./common.js";
 import { keys, thief } from "./constants.js";
-import { begin, f, left, move, places as placesOf, planes as planesOf, put, touches, ways } from "./thief.js";
+import { begin, copy, f, left, move, places as placesOf, planes as planesOf, put, touches, ways } from "./thief.js";
 
 const { KEY, CHEST, KEY_X, KEY_Y, CHEST_X, CHEST_Y, REWARD, HIDDEN, PLANES, INVENTORIES } = keys;
 const { WALL_PLANE, KEY_PLANE, CHEST_PLANE, THIEF_PLANE, HAND_PLANE, X_PLANE, Y_PLANE } = keys;
@@ -31,10 +31,6 @@ function addObject(s, k, x, y, off) {
     s.object_x[k] = f(f(x) + f(low + f(thief.JITTER * s.draws.unit())));
     s.object_y[k] = f(f(y) + f(low + f(thief.JITTER * s.draws.unit())));
   }
-}
-
-function copy(s) {
-  return { ...s, gone: [...s.gone], had: [...s.had], draws: s.draws.copy() };
 }
 
 function step(s, action) {

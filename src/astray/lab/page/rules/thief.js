@@ -148,6 +148,10 @@ export function places(s, steps) {
   return found;
 }
 
+export const copy = (s) => ({
+  ...s, gone: [...s.gone], had: s.had && [...s.had], draws: s.draws.copy(),
+});
+
 export function put(s, [x, y]) {
   return { ...s, x: x + 0.5, y: y + 0.5, vx: 0, vy: 0 };
 }
