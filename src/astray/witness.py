@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 
 from astray.record import NEVER
-from astray.validation import shown
+from astray.validation import one_of, shown
 from astray.world import Env, Happened, World, WorldVariant
 
 NOTED = "astray"  # key of info that reports events and measures
@@ -105,7 +105,8 @@ class Witness(gymnasium.Wrapper):
             raise self._failed("close", error) from error
 
     def leads(self, goal: str) -> Any:
-        """Return the action of the expert for a goal."""
+        """Return the action of the expert for a goal; raise ValueError if there is none."""
+        one_of("goal of an expert", goal, self.world.experts, of=self.world.name)
         try:
             return self.world.experts[goal](self._inner)
         except Exception as error:

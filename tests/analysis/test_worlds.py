@@ -238,6 +238,13 @@ def test_observations_outside_their_space_are_told_once(workers, caplog):
     assert caplog.messages == [said]
 
 
+@pytest.mark.parametrize("workers", [False, True])
+def test_a_walk_to_a_goal_without_an_expert_is_refused_by_its_name(workers):
+    world = replace(WORLD, experts={"end": WORLD.experts["end"]}, workers=workers)
+    with pytest.raises(ValueError, match="unknown goal of an expert 'square' of room; .*: end$"):
+        play(Walk("square"), world)
+
+
 def test_actions_of_several_parts_are_refused_before_the_first_step():
     with pytest.raises(ValueError, match=r"actions of room end must be numbers or .*; got Tuple"):
         play(RIGHT, troubled("two answers"))
