@@ -241,7 +241,7 @@ def test_observations_outside_their_space_are_told_once(workers, caplog):
 @pytest.mark.parametrize("workers", [False, True])
 def test_a_walk_to_a_goal_without_an_expert_is_refused_by_its_name(workers):
     world = replace(WORLD, experts={"end": WORLD.experts["end"]}, workers=workers)
-    with pytest.raises(ValueError, match="unknown goal of an expert 'square' of room; .*: end$"):
+    with pytest.raises(ValueError, match=r"unknown goal of an expert 'square' of room; .*: end$"):
         play(Walk("square"), world)
 
 
