@@ -40,7 +40,7 @@ SEARCH = 'data-md-component="search" role="dialog"'
 PLAIN_TABLE = re.compile(r"<table>(?=(?:(?!</table>|<a\b).)*</table>)", re.DOTALL)
 CODE = re.compile(r"<code\b.*?</code>", re.DOTALL)
 # An option, a name with dashes or an extra, in a text and not in a tag.
-WHOLE = re.compile(r"(?:(?<![\w-])(?:--\w[\w-]*|-?\w+(?:-\w+)+)|\.\[[\w,]+\])(?![^<]*>)")
+WHOLE = re.compile(r"(?:(?<![\w-])(?:--?\w[\w-]*|\w+(?:-\w+)+)|\.\[[\w,]+\])(?![^<]*>)")
 NAMED = re.compile(r'\b(?:id|name)="([^"]+)"')
 
 

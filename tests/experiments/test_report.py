@@ -326,6 +326,7 @@ def test_no_line_of_code_ends_within_an_option_or_a_name():
     said = "<code>lab <span>maze-corner</span> <span>--level</span> 5</code>"
     assert report.code("lab maze-corner --level 5") == said
     assert report.coded("In `lab maze-corner --level 5`") == f"In {said}"
+    assert report.code("python -m http") == "<code>python <span>-m</span> http</code>"
     assert report.code("#-<#--") == "<code>#-&lt;#--</code>"  # a drawing
 
 

@@ -29,7 +29,7 @@ MEDIA = {".png": "image/png", ".svg": "image/svg+xml", ".mp4": "video/mp4"}
 NOTHING = "—"
 MEAN = ("mean", "low", "high")
 UNTOLD = ("rows", "freedom")  # of tables: what intervals were computed with
-WHOLE = re.compile(r"(?<![\w-])(?:--\w[\w-]*|-?\w+(?:-\w+)+)")  # an option, a name with dashes
+WHOLE = re.compile(r"(?<![\w-])(?:--?\w[\w-]*|\w+(?:-\w+)+)")  # an option, a name with dashes
 
 
 def write(
