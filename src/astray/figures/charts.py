@@ -14,6 +14,7 @@ import matplotlib
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from astray.figures.axes import (
     BASES,
@@ -246,7 +247,7 @@ def curves(
             if max(len(f"{one}") for one in places) * len(places) * min(columns, len(grid)) > 90:
                 axes.tick_params("x", labelrotation=50, labelsize=8.5)
         elif data[x].dtype.is_integer():
-            axes.xaxis.get_major_locator().set_params(integer=True)
+            axes.xaxis.set_major_locator(MaxNLocator(9, integer=True, steps=[1, 2, 5, 10]))
         if limits:
             axes.set_ylim(limits)
         for which in percent:

@@ -69,8 +69,8 @@ def draw_paths(panels: Mapping[str, Field], *, art: str = OWN) -> Figure:
 
 def side_by_side(row: Sequence[Picture]) -> Figure:
     """Draw pictures of levels in the same cells: in a row, or in a column if they are flat."""
-    if row[0].window:
-        low, high = (pick([one.window for one in row], 0) for pick in (np.min, np.max))
+    if windows := [one.window for one in row if one.window]:
+        low, high = np.min(windows, 0), np.max(windows, 0)
         window = (low[0], high[1], low[2], high[3])
         row = [replace(one, window=window) for one in row]
         flat = (window[3] - window[2]) / (window[1] - window[0])
