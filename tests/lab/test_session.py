@@ -276,6 +276,7 @@ def test_the_best_way_takes_a_key_before_a_chest(session):
     [
         ("{", "must be JSON"),
         ("[" * 100_000, "must be JSON"),
+        ('{"id": ' + 5000 * "9" + "}", "must be JSON; Exceeds the limit"),
         ("x" * (LARGEST + 1), "at most"),
         ('{"id": 1}', "must have a field 'kind'"),
         ('{"id": 1, "kind": "level", "path": "/etc/passwd"}', "unknown field 'path'"),

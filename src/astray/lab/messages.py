@@ -90,7 +90,7 @@ def read(text: Any) -> Message:
         raise ValueError(f"a message must be at most {LARGEST:,} characters; got {len(text):,}")
     try:
         data = json.loads(text, parse_constant=_refused)
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"a message must be JSON; {error}") from None
     of_kind("a message", data, Mapping)
     known = {f.name for f in fields(Message)}
