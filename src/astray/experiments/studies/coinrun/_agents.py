@@ -41,10 +41,13 @@ AGENTS: Mapping[Size, Config] = {
         **ABOUT,
         network="strided-impala",
         teacher="of the same seed",  # see `teachers`
-        taught=0.2,
-        steps=15_000_000,
+        taught=0.15,
+        steps=20_000_000,
         epochs=1,
         minibatches=128,
+        # With the paper's 0.999 and 0.01, after the teacher, they learned to wait.
+        gamma=0.995,
+        entropy_weight=0.003,
     ),
     "hour": replace(LARGE, steps=25_000_000),
     "paper": LARGE,
@@ -69,8 +72,9 @@ DIFFERENCES: Mapping[Size, str] = {
     "pixels": "levels without hazards, 300 steps an episode; a network of patches, and 1 "
     "million steps instead of 200 million",
     "night": "two convolutions of stride 2 before one of the network's blocks; a teacher that sees "
-    "symbols, and was trained for 10 million steps, for the first 3 of 15 million steps, instead "
-    "of 200 million by rewards",
+    "symbols, and was trained for 10 million steps, for the first 3 of 20 million steps, instead "
+    "of 200 million by rewards; a discount of 0.995 instead of 0.999, and an entropy bonus of "
+    "0.003 instead of 0.01",
     "hour": "25 million steps instead of 200 million",
     "paper": "",
     "published": "the agent is OpenAI's of CoinRun as released, trained by others with "
@@ -78,7 +82,7 @@ DIFFERENCES: Mapping[Size, str] = {
     "intervals are over levels alone",
 }
 AGENT = {RUNNER: "openai-coinrun"}
-FIRST: Mapping[Size, int] = {"smoke": 20, "night": 1}  # seeds; lower ones chose the settings
+FIRST: Mapping[Size, int] = {"smoke": 20, "night": 3}  # seeds; lower ones chose the settings
 SEEDS: dict[Size, int] = {"smoke": 10, "pixels": 3, "night": 2, "hour": 1, "paper": 3, PUBLISHED: 1}
 # Blind to all: what it takes, it comes by.
 RIGHT_AND_JUMP = Function(
