@@ -138,7 +138,7 @@ def test_what_is_sent_is_no_more_than_was_said(hub, tmp_path, headers, said):
         ),
     ],
 )
-def test_a_refusal_is_one_line_without_the_librarys_advice(hub, wrong, given, said):
+def test_a_refusal_is_one_line_without_the_advice_of_the_library(hub, wrong, given, said):
     setattr(hub, wrong, given)
     if wrong == "missing":
         hub.repositories["ada/mouse"].commit("main", {})
