@@ -100,9 +100,8 @@ def offered(group: str) -> list[EntryPoint]:
         name = "a package"
         try:
             if package.entry_points.select(group=group):  # a name takes ten times as long to read
-                name = package.name
-                if name not in found:  # of two of one name the first is the one that is imported
-                    found[name] = list(distribution(name).entry_points.select(group=group))
+                name = package.name  # of two of one name the first is the one that is imported
+                found[name] = list(distribution(name).entry_points.select(group=group))
         except Exception as error:  # of a file that anybody may have written
             with contextlib.suppress(Exception):
                 name = package.name

@@ -9,7 +9,7 @@ from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.figures import charts
 from astray.figures.axes import call_places
 from astray.figures.grids import Picture, cells, images
-from astray.figures.style import ON_COLOUR, OTHERS, save
+from astray.figures.style import INK, OTHERS, save
 
 VALUES = pl.DataFrame(
     {
@@ -93,7 +93,7 @@ def test_a_picture_has_its_highest_row_on_top_and_arrows_in_the_middle_of_cells(
     figure = images([[one], []])
     axes = figure.axes[0]
     (letter,) = axes.texts
-    assert (letter.get_text(), letter.get_color()) == ("u", ON_COLOUR)  # on dark pages, too
+    assert (letter.get_text(), letter.get_color()) == ("u", INK)  # on what follows a dark theme
     (shown,) = axes.images
     assert tuple(shown.get_extent()) == (0, 2, 0, 2) and shown.origin == "upper"
     assert [c.get_offsets().tolist() for c in axes.collections] == [[[0.5, 1.5]]]

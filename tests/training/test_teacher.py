@@ -111,7 +111,7 @@ def test_a_teacher_that_sees_images_is_shown_those_that_it_knows(tmp_path):
     pictures = replace(TINY, observation="image", network="patch", steps=256, validation=None)
     train(pictures, tmp_path / "teacher", progress=False)
     with pytest.raises(ValueError, match=r"the teacher sees art 'own'; .*; got 'original'"):
-        distil(tmp_path / "teacher", art="original", folder=tmp_path / "students")
+        distil(tmp_path / "teacher", art="original", out=tmp_path / "students")
     assert not (tmp_path / "students").exists()
 
 
@@ -119,7 +119,7 @@ def test_students_that_are_refused_leave_no_folder(tmp_path):
     out = tmp_path / "students"
     for variant, message in (("corner", "must be a variant whose obs"), ("", "unknown variant")):
         with pytest.raises(ValueError, match=message):
-            distil(Path("maze-corner"), observation="symbolic", variant=variant, folder=out)
+            distil(Path("maze-corner"), observation="symbolic", variant=variant, out=out)
         assert not list(tmp_path.iterdir())
 
 

@@ -45,9 +45,7 @@ AGENTS: Mapping[Size, Config] = {
         steps=20_000_000,
         epochs=1,
         minibatches=128,
-        # With the paper's 0.999 and 0.01, after the teacher, they learned to wait.
         gamma=0.995,
-        entropy_weight=0.003,
     ),
     "hour": replace(LARGE, steps=25_000_000),
     "paper": LARGE,

@@ -70,7 +70,6 @@ NIGHT = PRESETS["night"].changed(
     minibatches=64,
     learning_rate=1e-3,
     gamma=0.995,
-    entropy_weight=0.003,  # of a higher one, runners at this size learned to wait
 )
 BY_NIGHT = (
     "a network that looks at each cell, and 15 million steps instead of 200 million: 3 million of "
