@@ -132,7 +132,7 @@ def with_lab(text: str) -> str:
 
 @functools.cache
 def kept() -> dict[str, dict[str, Any]]:
-    """What the lab tells of each pretrained agent."""
+    """Return what the lab tells of each pretrained agent, by its name."""
     agents = Agents.of({})
     return {name: agents.about(name) for name in folders.pretrained()}
 

@@ -373,8 +373,7 @@ PAPER = replace(
 )
 PRESETS = {
     "paper": PAPER,
-    # The paper's worlds on a core, overnight: a network of a fifth of the paper's products, and
-    # updates of as many steps as rare rewards need.
+    # The paper's worlds on a core, overnight: a network of few products, and long rollouts.
     "night": replace(
         PAPER,
         network="patch-impala",
