@@ -1,4 +1,4 @@
-"""The rules that a page plays by are Python's: written again, or translated."""
+"""The rules that a page plays by are Python's, translated."""
 
 import base64
 import json
@@ -111,6 +111,7 @@ REFUSED = {
     "return NAMES[0]": r"the constant NAMES of a page must be numbers; got \['a'\]",
     "return np.empty((2, 3))[1, 1]": "knows no 'empty'",
     "return unheard": "knows no 'unheard'",
+    "x = np.float32(s.a)\n x = s.a\n return x": "knows no 'x = s.a'",  # of 32 bits and of 64
 }
 
 
@@ -140,6 +141,9 @@ def catch(s):
 def world(s):
     return catch(s) + catch_
 
+def third(x):
+    return x / np.float32(3)
+
 def asks(s):
  """
 
@@ -148,7 +152,7 @@ def translated(folder, body):
     """A kernel of that body, in Python and in JavaScript with all that it needs."""
     (folder / "kernels.py").write_text(KERNELS + body + "\n")
     found = runpy.run_path(str(folder / "kernels.py"))
-    made = translate.Translation({"a", "cell"})
+    made = translate.Translation(dict.fromkeys(("a", "cell"), np.dtype(int)))
     assert made.name(found["asks"]) == "asks"
     return found["asks"], "\n".join([*made.constants.values(), *made.functions])
 
@@ -163,6 +167,9 @@ def translated(folder, body):
         "for k in range(3):\n  for k in range(2):\n   s.a += k\n  s.a += 10 * k\n return s.a",
         "return (1 << 40) | (5 & 4) | (2199023255552 >> 1)",
         "typeof, static = 3, 4\n return typeof + static + world(s)",
+        "return np.float64(np.float32(0.1) + np.float32(0.2))",  # of 32 bits
+        "x = -third(np.float32(s.a + 1))\n return np.float64(np.sqrt(abs(x)) * third(x))",
+        "return third(np.float64(s.a + 1)) + np.float64(third(np.float32(1)))",
     ],
 )
 def test_a_kernel_returns_what_it_does_in_python(chrome, static, exported, tmp_path, body):

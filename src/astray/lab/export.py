@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from astray import games, grid
+from astray import games
 from astray.acting import initial_states
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
@@ -128,8 +128,7 @@ def _write_data(
         variants = _variants(lab, game, about, further.get(game.name))
         told = about_game(game)
         names = {"variants", "knobs"}
-        if grid.world_of(game):
-            _write(folder.parent / "rules" / f"{game.name}.js", translate.module(game).encode())
+        _write(folder.parent / translate.path(game), translate.module(game).encode())
         found[game.name] = told | {n: {v: told[n][v] for v in variants} for n in names}
         for name in variants:
             data = {"levels": _levels(game, game.variant(name), levels)}

@@ -1,7 +1,8 @@
-"""Rules of grid worlds as JavaScript, for pages without Python.
+"""Rules of games as JavaScript, for pages without Python.
 
-Kernels are a small part of Python: numbers, loops, fields of a state. `module` translates a world's
-`step`, `furnish` and `seek`, and every kernel that these call; `page/rules/grid.js` has the rest.
+Kernels are a small part of Python: numbers, loops, fields of a state. `module` translates a game's
+`step`, of a grid world also `furnish` and `seek`, and every kernel that these call; `page/rules`
+has the rest. Numbers that have 32 bits in Python are rounded to them after each operation.
 """
 
 import ast
@@ -10,7 +11,7 @@ import inspect
 import json
 import textwrap
 import typing
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,9 @@ OWN = {grid.where: "where", settle: "settle", below: "below"}
 BUILT_IN: dict[Any, str] = {
     abs: "Math.abs", min: "Math.min", max: "Math.max", int: "Math.trunc", bool: "Boolean",
     np.sign: "Math.sign", np.int64: "Math.trunc", np.floor: "Math.floor", np.ceil: "Math.ceil",
+    np.sqrt: "Math.sqrt", np.float32: "Math.fround", np.float64: "Number",
 }  # fmt: skip
+WIDE = {int, bool, np.int64, np.float64}  # whose results are never of 32 bits
 SIGNS: dict[type, str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=",
     ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.USub: "-", ast.UAdd: "+",
@@ -38,6 +41,7 @@ CALLS: dict[type, str] = {  # by the page's functions; JavaScript's own bits are
     ast.LShift: "shiftLeft", ast.RShift: "shiftRight",
 }  # fmt: skip
 NUMPY = np.ndarray | np.generic
+Single = bool | tuple[bool, ...]  # whether a value, or each part of one, has 32 bits
 # Of `page/rules/grid.js`:
 NAMES = ["below", "fill", "gridRules", "or", "settle", "where", "yes", *CALLS.values()]
 WORDS = frozenset(  # that mean something else in a module of JavaScript, and those of ours
@@ -48,17 +52,37 @@ WORDS = frozenset(  # that mean something else in a module of JavaScript, and th
 )
 
 
+def path(game: Game) -> str:
+    """Return the path of `module` from the page, which has all but the step of some games."""
+    return f"rules/{game.name}{'' if grid.world_of(game) else '-step'}.js"
+
+
 def module(game: Game) -> str:
-    """Return the module `rules/NAME.js` of a grid world's page.
+    """Return the module of a game's translated rules: all of a grid world's, of others the step.
 
     Raises:
         ValueError: If its rules contain something that cannot be translated.
     """
     world = grid.world_of(game)
-    assert world
     (variant, *_) = game.variants.values()
-    made = Translation({*(game.state.names or ()), *knobs(type(variant))})
-    step, furnish, seek = (made.name(f) for f in (game.rules.step, world.furnish, world.seek))
+    fields = {name: game.state[name].base for name in game.state.names or ()}
+    made = Translation(dict.fromkeys(knobs(type(variant)), np.dtype(float)) | fields)
+    step = made.name(game.rules.step)
+    exported = f"export {{ {', '.join(made.names)} }};"
+    ends = _of_world(game, world, variant, made, step) if world else [exported]
+    lines = [
+        f"// The rules of {game.name}, translated from Python.",
+        f'import {{ {", ".join(NAMES)} }} from "./grid.js";',
+        *made.constants.values(),
+        *made.functions,
+        *ends,
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _of_world(game: Game, world: Any, variant: Any, made: Any, step: str) -> list[str]:
+    """Return the lines that make a grid world's rules of its translated functions."""
+    furnish, seek = made.name(world.furnish), made.name(world.seek)
     choices = {name: list(typing.get_args(kind)) for name, kind in knobs(type(variant)).items()}
     told = {
         "LEGEND": game.editing.LEGEND, "STOOD_ON": game.editing.STOOD_ON,
@@ -69,16 +93,11 @@ def module(game: Game) -> str:
         "choices": {name: those for name, those in choices.items() if those},
         "agents": list(world.agents), "numbers": _numbers(game),
     }  # fmt: skip
-    lines = [
-        f"// The rules of {game.name}, translated from Python.",
-        f'import {{ {", ".join(NAMES)} }} from "./grid.js";',
-        *made.constants.values(),
-        *made.functions,
+    return [
         f"const world = {json.dumps(told)};",
         f"export const rules = gridRules({{ ...world, step: {step}, furnish: {furnish}, "
         f"seek: {seek} }});",
     ]
-    return "\n".join(lines) + "\n"
 
 
 def _numbers(game: Game) -> list[str]:
@@ -91,23 +110,41 @@ def _numbers(game: Game) -> list[str]:
 class Translation:
     """Kernels as JavaScript functions, with the constants that they use."""
 
-    def __init__(self, fields: Collection[str]):
+    def __init__(self, fields: Mapping[str, np.dtype]):
         self.fields = fields  # of states and variants; arrays have none on a page
         self.functions: list[str] = []
         self.constants: dict[str, str] = {}
         self._names: dict[Any, str] = {}
+        self._single: dict[str, Single] = {}  # whether a function returns numbers of 32 bits
 
-    def name(self, kernel: Callable) -> str:
-        """Return the JavaScript name of a function, which is translated at its first use."""
+    def name(self, kernel: Callable, single: tuple[bool, ...] = ()) -> str:
+        """Return the JavaScript name of a function, which is translated at its first use.
+
+        Args:
+            kernel: The function.
+            single: Whether each of its arguments is a number of 32 bits.
+        """
         if kernel in OWN:
             return OWN[kernel]
         function = inspect.unwrap(getattr(kernel, "py_func", kernel))
-        if function not in self._names:
+        key = function, single if any(single) else ()
+        if key not in self._names:
             taken = {*self._names.values(), *self.constants}
             name = _word(function.__name__)
-            self._names[function] = name if name not in taken else f"{name}_{len(taken)}"
-            self.functions.append(_Function(self, function).text())
-        return self._names[function]
+            name = self._names[key] = name if name not in taken else f"{name}_{len(taken)}"
+            translated = _Function(self, function, name, single)
+            self.functions.append(translated.text())
+            self._single[name] = translated.returned or False
+        return self._names[key]
+
+    @property
+    def names(self) -> list[str]:
+        """The JavaScript names of all functions."""
+        return [*self._names.values()]
+
+    def returned(self, name: str) -> Single:
+        """Return whether the function of that JavaScript name returns numbers of 32 bits."""
+        return self._single.get(name, False)
 
     def constant(self, name: str, value: Any) -> str:
         """Return the JavaScript name of a constant; raise ValueError if it is not plain data."""
@@ -123,15 +160,17 @@ class Translation:
 class _Function:
     """Translation of one function; `of` and `_statement` have a case for each kind of syntax."""
 
-    def __init__(self, made: Translation, function: Any):
-        self.made, self.function = made, function
+    def __init__(self, made: Translation, function: Any, name: str, single: tuple[bool, ...]):
+        self.made, self.function, self.name = made, function, name
         (self.tree,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
+        self.arguments = [arg.arg for arg in self.tree.args.args]  # pyright: ignore
+        self.single: dict[str, Single] = dict(zip(self.arguments, single, strict=False))
+        self.returned: Single | None = None
 
     def text(self) -> str:
         tree: Any = self.tree
         if usual := [*tree.args.defaults, *tree.args.kw_defaults]:
             raise self._unknown(usual[0])
-        self.arguments = [arg.arg for arg in tree.args.args]
         names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
         stored = [name.id for name in names if isinstance(name.ctx, ast.Store)]
         self.local = {*self.arguments, *stored}
@@ -139,8 +178,7 @@ class _Function:
         lines = [f"let {', '.join(map(_word, own))};"] if own else []
         lines += self._block(tree.body)
         head = ", ".join(map(_word, self.arguments))
-        name = self.made._names[self.function]
-        return "\n".join([f"function {name}({head}) {{", *lines, "}"])
+        return "\n".join([f"function {self.name}({head}) {{", *lines, "}"])
 
     def _block(self, body: list[ast.stmt]) -> list[str]:
         return [line for statement in body for line in self._statement(statement)]
@@ -153,6 +191,10 @@ class _Function:
                 yield f"{self.of(value)};"
             case ast.Return(value=value):
                 yield f"return {self.of(value) if value else ''};"
+                single = self._single(value)
+                if self.returned not in (None, single):
+                    raise self._unknown(node)
+                self.returned = single
             case ast.Break():
                 yield "break;"
             case ast.Continue():
@@ -161,9 +203,11 @@ class _Function:
                 yield f"fill({self.of(whole)}, {self.of(value)});"
             case ast.Assign(targets=[target], value=value):
                 yield f"{self.of(target)} = {self._stored(target, value)};"
+                self._learn(target, self._single(value), node)
             case ast.AugAssign(target=target, op=op, value=value):
                 whole = ast.BinOp(target, op, value)
-                yield f"{self.of(target)} = {self.of(whole)};"
+                yield f"{self.of(target)} = {self._stored(target, whole)};"
+                self._learn(target, self._single(whole), node)
             case ast.If(test=test, body=body, orelse=other):
                 yield f"if (yes({self.of(test)})) {{"
                 yield from self._block(body)
@@ -175,6 +219,7 @@ class _Function:
                 yield f"while (yes({self.of(test)})) {{"
                 yield from [*self._block(body), "}"]
             case ast.For(ast.Name(id=name), ast.Call(ast.Name("range"), args), body, []):
+                self._learn(ast.Name(name), False, node)
                 yield self._loop(_word(name), [self.of(arg) for arg in args])
                 yield from [*self._block(body), "}"]
             case _:
@@ -188,12 +233,62 @@ class _Function:
         return f"for ({begin}; {within}; {name}$ += {name}$by) {{ {name} = {name}$;"
 
     def _stored(self, target: Any, value: Any) -> str:
-        """Return a value as fields of a state hold it: a truth is a number there."""
+        """Return a value as fields of a state hold it: of 32 bits, or a truth as a number."""
         if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
             pairs = zip(target.elts, value.elts, strict=True)
             return f"[{', '.join(self._stored(*pair) for pair in pairs)}]"
-        is_field = isinstance(target, ast.Attribute) and isinstance(value, ast.Compare | ast.BoolOp)
-        return f"Number({self.of(value)})" if is_field else self.of(value)
+        field = self._field(target)
+        if field == np.float32 and not self._single(value):
+            return f"Math.fround({self.of(value)})"
+        if isinstance(target, ast.Attribute) and isinstance(value, ast.Compare | ast.BoolOp):
+            return f"{'Boolean' if field == np.bool_ else 'Number'}({self.of(value)})"
+        return self.of(value)
+
+    def _field(self, node: Any) -> np.dtype | None:
+        """Return the type of a state's field, or of a part of it; None for anything else."""
+        while isinstance(node, ast.Subscript):
+            node = node.value
+        return self.made.fields.get(node.attr) if isinstance(node, ast.Attribute) else None
+
+    def _learn(self, target: Any, single: Single, node: Any) -> None:
+        """Record whether variables have 32 bits; raise ValueError if one sometimes has."""
+        if isinstance(target, ast.Tuple):
+            parts = single or (False,) * len(target.elts)
+            for one, is_single in zip(target.elts, parts, strict=True):  # pyright: ignore
+                self._learn(one, is_single, node)
+        elif isinstance(target, ast.Name) and self.single.setdefault(target.id, single) != single:
+            raise self._unknown(node)
+
+    def _single(self, node: Any) -> Single:
+        """Return whether an expression is a number of 32 bits, or which parts of a tuple are."""
+        match node:
+            case ast.Name(id=name) if name in self.local:
+                return self.single.setdefault(name, False)
+            case ast.Subscript(value=value):
+                return self._single(value) is True
+            case ast.Tuple(elts=parts):
+                singles = tuple(self._single(part) is True for part in parts)
+                return any(singles) and singles
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=value):
+                return self._single(value)
+            case ast.BinOp(left=one, op=ast.Add() | ast.Sub() | ast.Mult() | ast.Div(), right=two):
+                return self._single(one) is self._single(two) is True
+            case ast.IfExp(body=one, orelse=two):
+                return self._single(one) == self._single(two) and self._single(one)
+            case ast.Call(func=function, args=args):
+                return self._single_call(self._value(function), args)
+        return self._field(node) == np.float32 or type(self._value(node)) is np.float32
+
+    def _single_call(self, function: Any, args: list[Any]) -> Single:
+        """Return whether a call gives a number of 32 bits: a kernel, a cast, or NumPy's of such."""
+        if _is_kernel(function):
+            return self.made.returned(self.made.name(function, self._singles(args)))
+        if function is np.float32 or function not in BUILT_IN or function in WIDE:
+            return function is np.float32
+        return all(self._singles(args))
+
+    def _singles(self, args: list[Any]) -> tuple[bool, ...]:
+        return tuple(self._single(arg) is True for arg in args)
 
     def of(self, node: Any) -> str:
         """Return an expression."""
@@ -201,9 +296,9 @@ class _Function:
             case ast.Constant(value=value):
                 return json.dumps(value)
             case ast.Name(id=name):
-                return _word(name) if name in self.local else self._global(name)
+                return _word(name) if name in self.local else self._found(name, self._value(node))
             case ast.Attribute(value=ast.Name(id=name), attr=attribute) if self._is_module(name):
-                return self._found(attribute, getattr(self.function.__globals__[name], attribute))
+                return self._found(attribute, self._value(node))
             case ast.Attribute(value=value, attr=attribute) if attribute in self.made.fields:
                 return f"{self.of(value)}.{attribute}"
             case ast.Subscript(value=ast.Attribute(value=array, attr="shape"), slice=place):
@@ -228,7 +323,8 @@ class _Function:
             case ast.BinOp(left=left, op=op, right=right) if type(op) in CALLS:
                 return f"{CALLS[type(op)]}({self.of(left)}, {self.of(right)})"
             case ast.BinOp(left=left, op=op, right=right) if type(op) in SIGNS:
-                return f"({self.of(left)} {SIGNS[type(op)]} {self.of(right)})"
+                rounded = "Math.fround" if self._single(node) else ""
+                return f"{rounded}({self.of(left)} {SIGNS[type(op)]} {self.of(right)})"
             case ast.Compare():
                 return self._comparison(node)
             case ast.Call(func=function, args=args, keywords=[]):
@@ -255,30 +351,41 @@ class _Function:
             return f"Array({self.of(args[0])}).fill(0)"
         if whole == "len":
             return f"{self.of(args[0])}.length"
-        return f"{self.of(function)}({', '.join(map(self.of, args))})"
+        value, given = self._value(function), ", ".join(map(self.of, args))
+        if _is_kernel(value):
+            return f"{self.made.name(value, self._singles(args))}({given})"
+        text = f"{self.of(function)}({given})"
+        return f"Math.fround({text})" if value is np.sqrt and all(self._singles(args)) else text
 
     def _is_module(self, name: str) -> bool:
         return name not in self.local and inspect.ismodule(self.function.__globals__.get(name))
 
-    def _global(self, name: str) -> str:
-        there = vars(builtins) | self.function.__globals__
-        if name not in there:  # of a function around it
-            raise self._unknown(ast.Name(name))
-        return self._found(name, there[name])
+    def _value(self, node: Any) -> Any:
+        """Return the object that a name stands for outside of the function; None for others."""
+        match node:
+            case ast.Name(id=name) if name not in self.local:
+                return (vars(builtins) | self.function.__globals__).get(name)
+            case ast.Attribute(value=ast.Name(id=name), attr=attribute) if self._is_module(name):
+                return getattr(self.function.__globals__[name], attribute)
+        return None
 
     def _found(self, name: str, value: Any) -> str:
         """Return the name of a constant or function."""
-        if not callable(value):
-            return self.made.constant(_word(name), value)
-        if value not in BUILT_IN and not inspect.isfunction(getattr(value, "py_func", value)):
+        if _is_kernel(value):
+            return self.made.name(value)
+        if value is None or (callable(value) and value not in BUILT_IN):
             raise self._unknown(ast.Name(name))
-        return BUILT_IN.get(value) or self.made.name(value)
+        return BUILT_IN[value] if callable(value) else self.made.constant(_word(name), value)
 
     def _unknown(self, node: Any) -> ValueError:
         return ValueError(
             f"{self.function.__qualname__} must be translated for a page without Python, which "
             f"knows no {ast.unparse(node)!r}"
         )
+
+
+def _is_kernel(value: Any) -> bool:
+    return inspect.isfunction(getattr(value, "py_func", value))
 
 
 def _word(name: str) -> str:

@@ -1,5 +1,6 @@
 // Shared by the rules of all games: actions, cells, ways, and sentences about levels.
-// All constants are Python's: `astray.lab.constants` writes the module that has them.
+// All constants are Python's: `astray.lab.constants` writes the module that has them. So is the step
+// of each game: `astray.lab.translate` writes rules/NAME-step.js.
 
 import { common } from "./constants.js";
 
@@ -64,8 +65,8 @@ export function cellsOf(grid, code) {
 // One step of any game, as Gymnasium's environments count it.
 export function advance(rules, s, action) {
   s.time += 1;
-  const { reward, terminated } = rules.step(s, action);
+  const [reward, terminated] = rules.step(s, action);
   const truncated = s.time >= s.time_limit && !terminated;
-  s.ended = terminated || truncated;
-  return { reward, terminated, truncated };
+  s.ended = Boolean(terminated) || truncated;
+  return { reward: Number(reward), terminated: Boolean(terminated), truncated };
 }

@@ -65,11 +65,6 @@ export function gridRules(world) {
     return { ...s, cell, mover, draws: s.draws.copy() };
   }
 
-  function step(s, action) {
-    const [reward, terminated] = world.step(s, action);
-    return { reward: Number(reward), terminated: Boolean(terminated) };
-  }
-
   // The agent's observation, planes [C, H, W]: each kind, what is held, the agent.
   function planes(s) {
     const [count, edge] = [kinds + held, seen > side ? [side - 1 - s.x, side - 1 - s.y] : [0, 0]];
@@ -124,5 +119,5 @@ export function gridRules(world) {
     return cell && !s.mover[cell[1]][cell[0]] ? cell : null;
   }
 
-  return { build, step, planes, copy, problem, places, put, centre, view, target };
+  return { build, step: world.step, planes, copy, problem, places, put, centre, view, target };
 }

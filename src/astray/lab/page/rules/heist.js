@@ -1,10 +1,11 @@
-// Heist: `astray.games.heist.rules` and its observations, without Python.
+// Heist: its levels and its observations, without Python.
 
 import { NEVER, unreachable } from "./common.js";
-import { heist, thief } from "./constants.js";
-import { begin, copy, left, move, places as placesOf, planes as planesOf, put, touches, ways } from "./thief.js";
+import { heist } from "./constants.js";
+import { step } from "./heist-step.js";
+import { begin, copy, left, places as placesOf, planes as planesOf, put, ways } from "./thief.js";
 
-const { COLOURS, KEY, DOOR_CODE, GEM, REWARD, KEY_X, KEY_Y, GEM_X, GEM_Y, OBJECTS, LEGEND } = heist;
+const { COLOURS, KEY, DOOR_CODE, GEM, OBJECTS, LEGEND } = heist;
 const {
   WALL_PLANE, KEY_PLANE, DOOR_PLANE, GEM_PLANE, THIEF_PLANE, HAND_PLANE, X_PLANE, Y_PLANE, PLANES,
 } = heist;
@@ -23,32 +24,6 @@ function build(level, variant) {
   s.keys |= s.hand;
   s.all_keys = s.hand && s.hand === s.keys ? 0 : NEVER;
   return s;
-}
-
-function step(s, action) {
-  move(s, action, (k) => s.gone[k] === NEVER && isDoor(s.what[k]) && !(s.hand & bit(s.what[k])));
-  for (const [k] of left(s)) meet(s, k);
-  const reached = s.reached_gem === s.time;
-  return { reward: reached ? REWARD : 0, terminated: reached };
-}
-
-function meet(s, k) {
-  const what = s.what[k];
-  let near = [KEY_X, KEY_Y];
-  if (isDoor(what)) near = s.hand & bit(what) ? [thief.DOOR, thief.DOOR] : [0, 0];
-  if (what === GEM) near = [GEM_X, GEM_Y];
-  if (!touches(s, k, ...near)) return;
-  s.gone[k] = s.time;
-  const first = (event) => { if (s[event] === NEVER) s[event] = s.time; };
-  if (what === GEM) {
-    first("reached_gem");
-    return;
-  }
-  const name = COLOURS[(what - KEY) % COLOURS.length];
-  first(`${isDoor(what) ? "opened" : "took"}_${name}`);
-  if (isDoor(what)) return;
-  s.hand |= bit(what);
-  if (s.hand === s.keys) first("all_keys");
 }
 
 function planes(s) {

@@ -1,17 +1,18 @@
-// Keys and Chests: `astray.games.keys.rules` and what an agent sees of it, without Python.
+// Keys and Chests: its levels and what an agent sees of it, without Python.
 
 import { NEVER, unreachable } from "./common.js";
 import { keys, thief } from "./constants.js";
-import { begin, copy, f, left, move, places as placesOf, planes as planesOf, put, touches, ways } from "./thief.js";
+import { step } from "./keys-step.js";
+import { begin, copy, f, left, places as placesOf, planes as planesOf, put, ways } from "./thief.js";
 
-const { KEY, CHEST, KEY_X, KEY_Y, CHEST_X, CHEST_Y, REWARD, HIDDEN, PLANES, INVENTORIES } = keys;
+const { KEY, CHEST, HIDDEN, PLANES, INVENTORIES } = keys;
 const { WALL_PLANE, KEY_PLANE, CHEST_PLANE, THIEF_PLANE, HAND_PLANE, X_PLANE, Y_PLANE } = keys;
 
 export const rules = { build, step, planes, copy, problem, places, put };
 
 function build(level, variant) {
   return begin(level, variant, keys, {
-    had: [], keys: 0, chests: 0, taken: 0, opened: 0, passed: 0, touched: 0,
+    had: [], keys: 0, chests: 0, taken: 0, opened: 0, passed: 0, touched: 0, at_inventory: 0,
     inventory: INVENTORIES.indexOf(variant.inventory), key_penalty: variant.key_penalty,
     step_penalty: variant.step_penalty, strict: variant.strict,
     first_key: NEVER, all_keys: NEVER, first_chest: NEVER, all_chests: NEVER,
@@ -31,53 +32,6 @@ function addObject(s, k, x, y, off) {
     s.object_x[k] = f(f(x) + f(low + f(thief.JITTER * s.draws.unit())));
     s.object_y[k] = f(f(y) + f(low + f(thief.JITTER * s.draws.unit())));
   }
-}
-
-function step(s, action) {
-  move(s, action);
-  const [reward, terminated] = meet(s);
-  return { reward: f(reward - f(s.step_penalty)), terminated };
-}
-
-function meet(s) {
-  let [reward, done, touched] = [0, false, 0n];
-  for (const [k] of left(s)) { // the original's order: the last made is first
-    if (s.what[k] === KEY) {
-      if (touches(s, k, KEY_X, KEY_Y)) reward = take(s, k, reward);
-    } else if (touches(s, k, CHEST_X, CHEST_Y)) {
-      if (s.taken > s.opened) {
-        [reward, done] = unlock(s, k, reward);
-      } else {
-        const bit = 1n << BigInt(k);
-        if (!(BigInt(s.touched) & bit)) s.passed += 1;
-        touched |= bit;
-        if (s.passed_chest === NEVER) s.passed_chest = s.time;
-      }
-    }
-  }
-  s.touched = Number(touched);
-  return [reward, done];
-}
-
-function take(s, k, reward) {
-  s.gone[k] = s.time;
-  s.taken += 1;
-  if (s.first_key === NEVER) s.first_key = s.time;
-  if (s.taken === s.keys) {
-    s.all_keys = s.time;
-    if (s.opened < Math.min(s.keys, s.chests)) s.keys_before_last = s.time;
-  }
-  return f(reward - f(s.key_penalty));
-}
-
-function unlock(s, k, reward) {
-  s.gone[k] = s.time;
-  s.had[k] = s.taken - s.opened;
-  s.opened += 1;
-  if (s.first_chest === NEVER) s.first_chest = s.time;
-  const done = s.opened === Math.min(s.keys, s.chests);
-  if (done) s.all_chests = s.time;
-  return [s.strict ? REWARD : f(reward + REWARD), done];
 }
 
 function planes(s) {

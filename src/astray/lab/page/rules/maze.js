@@ -1,11 +1,12 @@
-// Maze: `astray.games.maze.rules` and what an agent sees of it, for a page without Python.
+// Maze: its levels and what an agent sees of it, for a page without Python.
 //
 // A test compares thousands of random steps with Python's, state by state.
 
-import { NEVER, WALL, cellsOf, checkAgent, distances, push, unreachable } from "./common.js";
+import { NEVER, WALL, cellsOf, checkAgent, distances, unreachable } from "./common.js";
 import { maze } from "./constants.js";
+import { is_wall as isWall, note_arrivals as noteArrivals, step } from "./maze-step.js";
 
-const { EMPTY, GOAL, OTHER, BOTH, REWARD, SHAPES, COLOURS, OTHERS, WALLS } = maze;
+const { EMPTY, GOAL, OTHER, BOTH, SHAPES, COLOURS, OTHERS, WALLS } = maze;
 const { WALL_PLANE, MOUSE_PLANE, DISH_PLANE, SHAPE_PLANE, COLOUR_PLANE } = maze;
 const DISH = OTHERS.indexOf("dish");
 
@@ -53,33 +54,6 @@ function build({ grid, agent, looks = {} }, variant) {
 
 function copy(s) {
   return { ...s, cell: s.cell.map((row) => row.slice()) };
-}
-
-function isWall(s, x, y) {
-  return !(x >= 0 && y >= 0 && x < s.world && y < s.world) || s.cell[y][x] === WALL;
-}
-
-function step(s, action) {
-  let [dx, dy] = push(action);
-  if (dx !== 0) {
-    dy = 0; // the original steps in x first, and then no more
-    s.faces_right = dx > 0;
-  }
-  const [x, y] = [Math.floor(s.x) + dx, Math.floor(s.y) + dy];
-  if (!isWall(s, x, y)) [s.x, s.y] = [x + 0.5, y + 0.5];
-  noteArrivals(s);
-  const reached = s.reached_goal === s.time;
-  if (reached) s.cell[s.goal_y][s.goal_x] = s.cell[s.goal_y][s.goal_x] === BOTH ? OTHER : EMPTY;
-  return { reward: reached ? REWARD : 0, terminated: reached };
-}
-
-function noteArrivals(s) {
-  const [x, y] = [Math.floor(s.x), Math.floor(s.y)];
-  for (const what of ["goal", "corner", "other"]) {
-    if (s[`reached_${what}`] === NEVER && x === s[`${what}_x`] && y === s[`${what}_y`]) {
-      s[`reached_${what}`] = s.time;
-    }
-  }
 }
 
 // The agent's observation, planes [C, H, W]: walls, mouse, dish (where a variant has one, in as many

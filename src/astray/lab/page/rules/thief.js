@@ -1,13 +1,13 @@
-// The thief of Heist and of Keys and Chests: `astray.kernel.thief` without Python.
+// The levels and observations of Heist and of Keys and Chests: `astray.kernel.thief` without Python.
 //
 // Lengths are 32-bit floats, as all of the original's; so is all arithmetic on them.
 
-import { NEVER, WALL, checkAgent, distances, push } from "./common.js";
+import { NEVER, WALL, checkAgent, distances } from "./common.js";
 import { common, thief } from "./constants.js";
 import { Twister } from "./twister.js";
 
 export const f = Math.fround;
-const { HALF, CORNER, MIX, TOP_SPEED, DECAY, PARTS, TIES, DOOR, IN_DOOR, STRIPS } = thief;
+const { STRIPS } = thief;
 
 // The state of a level; `put(s, k, x, y, off)` fills in each object k, which may be off centre.
 export function begin({ grid, agent, looks = {} }, variant, game, fields, put) {
@@ -46,59 +46,9 @@ export function begin({ grid, agent, looks = {} }, variant, game, fields, put) {
   return s;
 }
 
-export function move(s, action, isLocked = () => false) {
-  const tie = s.draws.below(TIES);
-  const [ax, ay] = push(action);
-  if (ax !== 0 || ay !== 0) s.facing = action;
-  [s.vx, s.vy] = [pushed(s.vx, ax), pushed(s.vy, ay)];
-  const fast = [Math.abs(s.vx), Math.abs(s.vy)];
-  let xFirst = fast[0] > fast[1] || (fast[0] === fast[1] && tie % 2 === 0);
-  if (ax !== 0 || ay !== 0) xFirst = ay === 0;
-  const free = { x: 0, y: 0 };
-  const locked = s.what.map((_, k) => k).filter(isLocked).reverse();
-  for (let part = 0; part < PARTS; part++) {
-    const met = {};
-    for (const axis of xFirst ? ["x", "y"] : ["y", "x"]) {
-      met[axis] = slide(s, axis, f(s[`v${axis}`] / PARTS), locked);
-      free[axis] += met[axis] ? 0 : 1;
-    }
-    if (met.x && met.y) break;
-  }
-  [s.vx, s.vy] = [f(s.vx * (free.x / PARTS)), f(s.vy * (free.y / PARTS))];
-}
-
-function pushed(v, way) {
-  return f(DECAY * f(f(f(1 - MIX) * v) + f(f(MIX * TOP_SPEED) * way)));
-}
-
-// Moves along an axis, or up to a wall or locked door; returns whether there was one.
-function slide(s, axis, way, locked) {
-  if (way === 0) return false;
-  const other = axis === "x" ? s.y : s.x;
-  let at = f(s[axis] + way);
-  const front = way > 0 ? f(at + CORNER) : f(at - CORNER);
-  let met = [f(other - CORNER), f(other + CORNER)].some((beside) => (
-    axis === "x" ? isWall(s, front, beside) : isWall(s, beside, front)
-  ));
-  if (met) at = way > 0 ? f(Math.floor(f(at + HALF)) - HALF) : f(Math.ceil(f(at - HALF)) + HALF);
-  s[axis] = at;
-  for (const k of locked) {
-    if (!touches(s, k, IN_DOOR, IN_DOOR)) continue;
-    const there = s[`object_${axis}`][k];
-    const edge = f(there + f(Math.sign(f(s[axis] - there)) * DOOR));
-    s[axis] = f(s[axis] + f(edge - s[axis]));
-    [s[`v${axis}`], met] = [0, true];
-  }
-  return met;
-}
-
 function isWall(s, x, y) {
   if (x < 0 || y < 0 || x >= s.world || y >= s.world) return true;
   return s.cell[Math.trunc(y)][Math.trunc(x)] === WALL;
-}
-
-export function touches(s, k, nearX, nearY) {
-  return Math.abs(f(s.object_x[k] - s.x)) < nearX && Math.abs(f(s.object_y[k] - s.y)) < nearY;
 }
 
 // Objects that are left, the last made first: [k, x, y] with their cells.
