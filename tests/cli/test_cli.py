@@ -148,6 +148,8 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
         ("level mase corner", "unknown game 'mase'; there are: "),
         ("level maze cornr", "unknown variant 'cornr' of maze; there are: corner, anywhere"),
         ("level maze corner --levels 5-9", "levels must be numbers and ranges as 5,17,100:200"),
+        ("level maze corner --levels 5:5", "levels must have some, as 5:6 has one; got '5:5'"),
+        ("level maze corner --levels 3,9:7", "levels must have some, as 5:6 has one; got '3,9:7'"),
         ("level maze corner --levels -1", "from 0 to 2147483646"),
         ("level maze corner --levels 99999999999999999999", "from 0 to 2147483646"),
         ("level maze corner --levels 0:99999999999", "from 0 to 2147483646"),

@@ -43,7 +43,7 @@ def untrained():
         config = replace(make_lab("maze-corner", {}).agents.open("maze-corner")[1], **settings)
         path = folder / "checkpoints" / "1" / "agent.safetensors"
         path.parent.mkdir(parents=True)
-        path.write_bytes(weights(architecture.build(), architecture, "maze"))
+        path.write_bytes(weights(architecture.build(), architecture, config.game))
         (folder / "config.json").write_text(json.dumps({"config": config.to_json()}))
         return path
 

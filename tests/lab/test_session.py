@@ -10,6 +10,7 @@ from safetensors.numpy import load_file
 
 from astray import games
 from astray.acting import initial_states
+from astray.agents.policy import Architecture
 from astray.analysis.replay import replay
 from astray.analysis.runs import load_agent, play_all
 from astray.insight.fields import fields
@@ -17,7 +18,7 @@ from astray.lab import agents
 from astray.lab.agents import Agents
 from astray.lab.messages import LARGEST, read
 from astray.lab.serving import make_lab
-from astray.lab.session import ANSWERS, Session, about_game, drawings
+from astray.lab.session import ANSWERS, Lab, Session, about_game, drawings
 from astray.lab.worlds import read_world
 from astray.level import Level
 from astray.training import checkpoint
@@ -290,6 +291,21 @@ def test_the_best_way_takes_a_key_before_a_chest(session):
 def test_what_is_no_question_is_refused(session, message, said):
     (answer,) = session.answers(message)
     assert said in answer["error"] and answer["done"]
+
+
+@pytest.mark.parametrize("network", ["mlp+gru", "mlp+lstm"])
+def test_an_agent_with_memory_goes_on_from_what_it_saw(untrained, tmp_path, network):
+    architecture = Architecture(network, (4, 7, 7), (1, 1, 6, 6), 15, width=8)
+    untrained(tmp_path / "run", architecture, network=network, width=8)
+    session = Session(Lab(Agents.of({"mouse": tmp_path / "run"}), {}))
+    body = session.lab.agents.open("mouse")[0].network.body
+    body.policy.weight.data *= 5_000  # from near uniform
+    asked = MAZE | {"agent": "mouse", "level": 12}
+    whole, stepped = ask(session, "play", **asked, steps=24)["actions"], []
+    for _ in whole:
+        stepped = ask(Session(session.lab), "play", **asked, actions=stepped, steps=1)["actions"]
+    handed = ask(Session(session.lab), "play", **asked, actions=whole[:7], steps=17)["actions"]
+    assert stepped == handed == whole
 
 
 def random_message(random, samples):

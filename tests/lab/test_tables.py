@@ -3,13 +3,14 @@
 import json
 
 import numpy as np
+import pytest
 
 from astray import games
 from astray.acting import initial_states
 from astray.agents.policy import Architecture
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
-from astray.lab.export import export, table
+from astray.lab.export import check_exportable, export, table
 from astray.lab.serving import make_lab
 from astray.level import Level
 from helpers.browsed import folder_served, opened, wait
@@ -80,3 +81,25 @@ def test_a_table_is_no_larger_than_is_asked_for():
     index, data = table(agent, game, game.variant("anywhere-small"), 2, most=2000)
     assert len(data) <= 2000  # a level too large for its half has one place of the goal alone
     assert 1 in {len(level["goals"]) for level in index["levels"]}
+
+
+@pytest.mark.parametrize(
+    "network, settings, why",
+    [
+        ("mlp+gru", {}, "has a memory"),
+        ("patch", {"game": "pottery", "variant": "corner"}, "sees images of pottery"),
+    ],
+)
+def test_an_agent_that_no_table_can_stand_for_is_refused(
+    untrained, tmp_path, network, settings, why
+):
+    """A page would play an agent with memory as if each step began its episode."""
+    kind = {"network": network, "observation": "image" if settings else "symbolic"}
+    actions = len(games.find(settings.get("game", "maze")).actions)
+    architecture = Architecture(network, (64, 64, 3), (), actions)
+    if not settings:
+        architecture = Architecture(network, (4, 7, 7), (1, 1, 6, 6), actions, width=8)
+    untrained(tmp_path / "run", architecture, **kind, **settings, validation=None, width=8)
+    lab = make_lab(tmp_path / "run", {})
+    with pytest.raises(ValueError, match=f"{why}: there is no table of all that it may see"):
+        check_exportable(lab, None, {})

@@ -13,6 +13,7 @@ from astray import games
 from astray.agents.policy import usable
 from astray.training import checkpoint
 from astray.training.config import PRESETS
+from astray.training.log import Log
 from astray.training.loop import train
 from helpers.trainings import TINY, digest, train_to_first_checkpoint
 
@@ -63,6 +64,14 @@ def test_a_resumed_run_is_the_one_that_was_not_stopped(tmp_path, monkeypatch):
     train(TINY, tmp_path / "parts", progress=False)
     assert digest(tmp_path / "parts") == digest(tmp_path / "whole")
     assert checkpoint.metrics(tmp_path / "parts") == checkpoint.metrics(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("steps, said", [(20, True), (32, False), (64, False), (65, True)])
+def test_a_training_longer_than_asked_for_is_told_before_it_begins(tmp_path, capsys, steps, said):
+    config = replace(TINY, steps=steps, num_envs=4, num_steps=8, validation=None)
+    Log(tmp_path, 0, config, progress=True).__exit__()
+    told = f"{steps // 32 * 32 + 32} steps, as rollouts of 32 are whole\n"
+    assert capsys.readouterr().err.endswith(told) == said
 
 
 def test_progress_is_told_in_lines_where_nobody_sees_a_bar(tmp_path, monkeypatch, capsys):

@@ -1,6 +1,6 @@
 """Replay of given actions in one level."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -18,13 +18,13 @@ from astray.level import Level
 class Script:
     """Policy that takes the given actions in one episode, whatever it observes."""
 
-    actions_left: Iterator[int]
+    taken: Sequence[int]
     name: str = "script"
     observation: Observation = "symbolic"
     art: str = OWN
 
     def actions(self, turn: Turn) -> Answer:
-        return Answer(np.array([next(self.actions_left)]))
+        return Answer(np.array([self.taken[turn.env.states["time"][0]]]))
 
 
 def replay(
@@ -39,7 +39,7 @@ def replay(
     s = initial_states(game, variant, chosen)[0]
     start, moves, total = game.editing.centre(s), [], 0.0
     ended = {"terminated": False, "truncated": False}
-    policy, longest = Script(iter(actions)), len(actions) + 1  # never reached
+    policy, longest = Script(actions), len(actions) + 1  # never reached
     played = steps(policy, game, variant, chosen, longest=longest)
     for step in islice(played, len(actions)):
         s, reward = step.after[0].copy(), float(step.rewards[0])

@@ -386,14 +386,15 @@ def looked_into(policy: Policy, game: Game) -> Agent | Network | Opaque:
     return found if isinstance(found, Agent) else Opaque(policy, game.name)
 
 
-def check_network(agent: Any) -> None:
-    """Raise ValueError unless an agent has a network to look into."""
+def check_network(agent: Any) -> Agent | Network:
+    """Return an agent; raise ValueError unless it has a network to look into."""
     if isinstance(agent, Opaque):
         raise ValueError(
             f"the policy {agent.name!r} has no network to look into: no probabilities, values or "
             "layers; astray.Network(module, ...) is a policy with one"
         )
     of_kind("agent", agent, Model)
+    return agent
 
 
 Model = Agent | Network

@@ -345,8 +345,9 @@ def level_numbers(text: str) -> np.ndarray:
         raise ValueError(
             f"levels must be numbers and ranges as 5,17,100:200; got {text!r}"
         ) from None
-    spans = [span for span in spans if span]
-    if not spans or any(s[0] < 0 or s[-1] >= LEVELS.stop for s in spans):
+    if not all(spans):
+        raise ValueError(f"a range of levels must have some, as 5:6 has one; got {text!r}")
+    if any(s[0] < 0 or s[-1] >= LEVELS.stop for s in spans):
         raise ValueError(f"levels must be numbers from 0 to {LEVELS.stop - 1}; got {text!r}")
     count = sum(map(len, spans))
     if count > AT_ONCE:

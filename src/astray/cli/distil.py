@@ -39,7 +39,7 @@ def distil(
         network: Network of the students.
         variant: Variant whose training levels the students play.
         validation: Variant that is played during training without learning from it.
-        steps: Total number of environment steps.
+        steps: Total number of environment steps, in whole rollouts.
         epochs: Number of passes over each rollout.
         art: Art that images are drawn with.
         seed: Seed of the first student.

@@ -265,9 +265,7 @@ def _moved(asked: Asked, name: str) -> Section:
 
 def _attribution(asked: Asked) -> list[Section]:
     """Show integrated gradients of the value at the beginning."""
-    agent = asked.agent
-    check_network(agent)
-    assert not isinstance(agent, Opaque)
+    agent = check_network(asked.agent)
     states = np.array([asked.level.state(solvable=False)], asked.level.game.state)
     shown = observe(agent, asked.variant, states)
     (found,) = attribution.integrated_gradients(agent, shown)
@@ -295,14 +293,12 @@ def _attribution(asked: Asked) -> list[Section]:
 
 def _probes(asked: Asked) -> list[Section]:
     """Show the readings of linear probes at the beginning, and their quality elsewhere."""
-    game = asked.level.game
-    check_network(asked.agent)
-    assert not isinstance(asked.agent, Opaque)
+    game, agent = asked.level.game, check_network(asked.agent)
     if not game.labels:
         raise ValueError(f"{game.name} has no labels that probes could look for")
-    _, states = visit(asked.agent, asked.variant, asked.others, per_episode=4)
+    _, states = visit(agent, asked.variant, asked.others, per_episode=4)
     here = np.array([asked.level.state(solvable=False)], game.state)
-    given = (asked.agent, asked.variant, states, here, asked.layers, game.labels)
+    given = (agent, asked.variant, states, here, asked.layers, game.labels)
     table = pl.DataFrame([*probes.readings(*given)])
     caption = (
         f"Linear probes of layers, fitted in {len(asked.others)} other levels: what they read at "

@@ -89,8 +89,7 @@ class Agents:
 
     def _steered(self, agent: Shown, message: Message, world: World) -> Shown:
         """Return a copy of the agent with changed layers; the last one is cached."""
-        check_network(agent)
-        assert not isinstance(agent, Opaque)
+        agent = check_network(agent)
         key = (message.agent, repr(message.steering), world.key)
         if self._last is None or self._last[0] != key:
             other = copy.copy(agent)
@@ -102,9 +101,7 @@ class Agents:
 
     def visited(self, name: str, world: World) -> np.ndarray:
         """Return states [N] of the agent's own episodes in the world's variant, for probes."""
-        agent = self.player(name)
-        check_network(agent)
-        assert not isinstance(agent, Opaque)
+        agent = check_network(self.player(name))
         numbers = range(FIRST_VISITED, FIRST_VISITED + VISITED + 1)
         asked = world.number
         spared = numbers[-1] if asked is None or asked not in numbers else asked
@@ -148,7 +145,7 @@ def _about(policy: Network | Opaque, tested: str | None) -> dict[str, Any]:
         "variants": [n for n, variant in game.variants.items() if sees(policy, game, variant)],
         "observation": policy.observation, "art": policy.art, "network": None,
         "knobs": {}, "steps": None, "gamma": GAMMA, "lam": LAMBDA, "seed": policy.seed,
-        "reward_deviation": None,
+        "reward_deviation": None, "caveat": policy.caveat,
         "layers": {} if isinstance(policy, Opaque) else _layers(policy),
     }  # fmt: skip
 

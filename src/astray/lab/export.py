@@ -90,11 +90,10 @@ def check_exportable(
     for game, variant in further.items():
         games.find(game).variant(variant)
     for name, (agent, config) in opened.items():
-        if agent.architecture.name != COMPUTED and config.find_game().real_time:
-            raise ValueError(
-                f"the agent {name!r} sees images of {config.game}, where things move by "
-                "themselves: there is no table of all that it may see"
-            )
+        why = "has a memory" if agent.caveat else f"sees images of {config.game}"
+        is_tabled = not agent.caveat and "goal_x" in (config.find_game().state.names or ())
+        if agent.architecture.name != COMPUTED and not is_tabled:
+            raise ValueError(f"the agent {name!r} {why}: there is no table of all that it may see")
     return [*opened]
 
 

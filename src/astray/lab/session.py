@@ -12,7 +12,7 @@ import numpy as np
 
 from astray import games
 from astray.analysis.critic import ask, observe
-from astray.analysis.trained import Opaque, check_network
+from astray.analysis.trained import check_network
 from astray.envs.pictures import picture
 from astray.game import Game, knobs
 from astray.lab import agents, goals
@@ -279,9 +279,7 @@ def reading(session: Session, message: Message) -> Iterator[Reply]:
 
     episode = session.episode(message)
     world = episode.world
-    agent = session.lab.agents.of_message(message, world)
-    check_network(agent)
-    assert not isinstance(agent, Opaque)
+    agent = check_network(session.lab.agents.of_message(message, world))
     seen = session.lab.agents.visited(message.agent, world)
     here = episode.state.copy().view(np.recarray)
     labels = dict(world.game.labels)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from astray import games, grid
-from astray.acting import Asking, Onward, Policy, Step, initial_states, play
+from astray.acting import Asking, Onward, Policy, Step, Turn, initial_states, play
 from astray.analysis.replay import Script
 from astray.envs.beginnings import without_autoreset
 from astray.envs.vector import GameVectorEnv, quickest
@@ -160,9 +160,13 @@ class Episode:
 
     def play(self, policy: Policy, steps: int) -> Iterator[Step]:
         """Continue with a policy's actions for at most `steps` steps, and record each."""
-        env = environment(self.world, policy.observation, policy.art)
+        env, asking = environment(self.world, policy.observation, policy.art), Asking(policy)
+        for before in self.states[:-1]:  # a policy with memory remembers them
+            asking.send(0, 0, Turn.of(env, env.set_state(before)))
+            if asking.receive(0).memory is None:
+                break
         onward = Onward(env, env.set_state(self.state))
-        for step in play(Asking(policy), onward, steps):
+        for step in play(asking, onward, steps):
             self.states.append(step.after.copy())
             self.actions.append(int(step.actions[0]))
             self.rewards.append(float(step.rewards[0]))
@@ -191,13 +195,12 @@ def play_on(episode: Episode | None, world: World, actions: Sequence[int]) -> Ep
             break
         same += 1
     episode.cut(same)
-    left = actions[same:]
-    for action in left:
+    for action in actions[same:]:
         bounded("an action", action, 0, len(world.game.actions) - 1)
-    if left:
-        script = Script(iter(left), observation=quickest(world.game))
-        taken = sum(1 for _ in episode.play(script, len(left)))
-        if taken < len(left):
+    if left := len(actions) - same:
+        script = Script(actions, observation=quickest(world.game))
+        taken = sum(1 for _ in episode.play(script, left))
+        if taken < left:
             raise ValueError(f"the episode has ended after {same + taken} steps")
     return episode
 

@@ -78,7 +78,7 @@ class Config:
     scale: int = 1  # Factor of the channels of convolutions; 4 in the paper's sweeps.
     width: int = 256  # Number of hidden units of the mlp.
 
-    steps: int = 5_500_000  # Total number of environment steps.
+    steps: int = 5_500_000  # Total number of environment steps, in whole rollouts.
     num_envs: int = 256  # Number of parallel environments.
     num_steps: int = 64  # Number of steps per environment between updates.
     epochs: int = 3  # Number of passes over each rollout.

@@ -78,9 +78,11 @@ class Log:
         shown = progress and console.is_terminal
         self._bar = Progress(*columns, console=console, disable=not shown)
         self._name = f"{config.game} {config.variant} seed {config.seed}"
-        self._task = self._bar.add_task(
-            self._name, total=config.iterations * config.batch, completed=steps, text=""
-        )
+        total = config.iterations * config.batch
+        if progress and total > 1.01 * config.steps:
+            told = f"{self._name}: {total:,} steps, as rollouts of {config.batch:,} are whole"
+            print(told, file=sys.stderr, flush=True)
+        self._task = self._bar.add_task(self._name, total=total, completed=steps, text="")
         self._bar.start()
 
     def write(self, steps: int, values: dict[str, float], speed: dict[str, float]) -> None:

@@ -13,6 +13,7 @@ from astray.kernel.maze import WALL, beside, dig
 from astray.kernel.rng import choose, pick
 from astray.kernel.thief import IN_DOOR, F, grid, jittered, settle, start
 from astray.record import NEVER, centre
+from astray.validation import one_of
 
 LEGEND = {"#": WALL, ".": EMPTY, "*": GEM}
 LEGEND |= {name[0]: KEY + k for k, name in enumerate(COLOURS)}
@@ -214,7 +215,9 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     s, p = np.zeros(1, STATE).view(np.recarray)[0], variant.records()[0]
     furnish(s, p)
     thief.begin(s, cells, agent, looks, p, put)
-    s.hand = sum(1 << COLOURS.index(name) for name in set(looks.get("hand", ())))
+    for name in looks.get("hand", ()):
+        one_of("key", name, COLOURS)
+        s.hand |= 1 << COLOURS.index(name)
     s.keys |= s.hand
     s.all_keys = 0 if s.hand and s.hand == s.keys else NEVER
     return s

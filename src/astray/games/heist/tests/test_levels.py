@@ -119,6 +119,16 @@ def test_a_level_can_be_read_off_in_the_middle_of_an_episode():
     assert level.looks["hand"][0] == "blue" and level.state().hand == env.states[0].hand
 
 
+@pytest.mark.parametrize(
+    "hand, said", [(["pink"], "'pink'"), ([["red"]], r"\['red'\]"), ("red", "'r'")]
+)
+def test_a_key_of_an_unknown_colour_in_hand_is_told_with_the_colours(hand, said):
+    level = Level.of(GAME, VARIANTS["near"], levels(VARIANTS["near"], 1)[0])
+    with pytest.raises(ValueError, match=f"unknown key {said}; there are: blue, green, red"):
+        replace(level, looks={**level.looks, "hand": hand}).state()
+    assert replace(level, looks={**level.looks, "hand": ["green"]}).state().hand == 2
+
+
 def test_edited_levels_are_those_that_were_asked_for():
     level = Level.of(GAME, VARIANTS["hard"], levels(VARIANTS["hard"], 3)[2])
     (gem,), (key,) = level.where("gem"), level.where("green key")
