@@ -22,7 +22,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.figures.axes import COLOURS
 from astray.figures.style import OTHERS
 from astray.kernel import rng, thief
-from astray.lab import constants, goals
+from astray.lab import constants, goals, translate
 from astray.level import Level
 from astray.outcome import INTENDED, MISGENERALIZED
 from astray.training import ppo
@@ -32,7 +32,7 @@ PLANES = [  # what each is a plane of, in an order that is not the game's
     ("maze", "anywhere-small", "SHAPE MOUSE COLOUR WALL"),
     ("keys", "many-keys-small", "X HAND CHEST KEY WALL Y THIEF"),
     ("heist", "small", "X GEM Y KEY WALL HAND DOOR THIEF"),
-    ("coinrun", "coin-anywhere", "LEFT COIN HAZARD WALL GAUGE RIGHT CRATE"),
+    ("coinrun", "coin-anywhere", "COIN CRATE HAZARD WALL GAUGE LEFT RIGHT"),
 ]
 
 
@@ -54,12 +54,17 @@ def test_planes_have_the_order_of_python(chrome, static, exported, monkeypatch, 
 
 @contextmanager
 def now(exported):
-    """The exported page has the constants that Python has now."""
-    path = exported / constants.PATH
-    before = path.read_bytes()
-    path.write_bytes(constants.module())
-    yield
-    path.write_bytes(before)
+    """The exported page has the constants that Python has now, in its kernels, too."""
+    made = {constants.PATH: constants.module()}
+    for path in (exported / "rules").glob("*-kernels.js"):
+        game = games.find(path.name.removesuffix("-kernels.js"))
+        made[translate.path(game)] = translate.module(game).encode()
+    before = {path: (exported / path).read_bytes() for path in made}
+    for texts in (made, before):
+        for path, text in texts.items():
+            (exported / path).write_bytes(text)
+        if texts is made:
+            yield
 
 
 def test_the_page_has_the_number_of_levels_and_the_size_of_the_thief_from_python(

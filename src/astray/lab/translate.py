@@ -1,12 +1,14 @@
 """Rules of games as JavaScript, for pages without Python.
 
 Kernels are a small part of Python: numbers, loops, fields of a state. `module` translates a game's
-`step`, of a grid world also `furnish` and `seek`, and every kernel that these call; `page/rules`
-has the rest. Numbers that have 32 bits in Python are rounded to them after each operation.
+`step` and symbolic planes, of a grid world `step`, `furnish` and `seek`, and every kernel that
+these call; `page/rules` has the rest. Numbers that have 32 bits in Python are rounded to them after
+each operation.
 """
 
 import ast
 import builtins
+import functools
 import inspect
 import json
 import textwrap
@@ -19,12 +21,13 @@ import numpy as np
 from astray import grid
 from astray.game import Game, knobs
 from astray.grid.rules import settle
+from astray.kernel.canvas import copy_flat
 from astray.kernel.rng import below
 from astray.lab.worlds import snapshot
 from astray.validation import shown
 
 # What the page has itself: Python's functions -> JavaScript's, as "name" or "Math.name".
-OWN = {grid.where: "where", settle: "settle", below: "below"}
+OWN = {grid.where: "where", settle: "settle", below: "below", copy_flat: "copyFlat"}
 BUILT_IN: dict[Any, str] = {
     abs: "Math.abs", min: "Math.min", max: "Math.max", int: "Math.trunc", bool: "Boolean",
     np.sign: "Math.sign", np.int64: "Math.trunc", np.floor: "Math.floor", np.ceil: "Math.ceil",
@@ -43,7 +46,7 @@ CALLS: dict[type, str] = {  # by the page's functions; JavaScript's own bits are
 NUMPY = np.ndarray | np.generic
 Single = bool | tuple[bool, ...]  # whether a value, or each part of one, has 32 bits
 # Of `page/rules/grid.js`:
-NAMES = ["below", "fill", "gridRules", "or", "settle", "where", "yes", *CALLS.values()]
+NAMES = ["below", "copyFlat", "fill", "gridRules", "or", "settle", "where", "yes", *CALLS.values()]
 WORDS = frozenset(  # that mean something else in a module of JavaScript, and those of ours
     "arguments await case catch class const debugger default delete do enum eval export extends "
     "false finally function implements in instanceof interface let new null package private "
@@ -53,12 +56,12 @@ WORDS = frozenset(  # that mean something else in a module of JavaScript, and th
 
 
 def path(game: Game) -> str:
-    """Return the path of `module` from the page, which has all but the step of some games."""
-    return f"rules/{game.name}{'' if grid.world_of(game) else '-step'}.js"
+    """Return the path of `module` from the page, which has all but the kernels of some games."""
+    return f"rules/{game.name}{'' if grid.world_of(game) else '-kernels'}.js"
 
 
 def module(game: Game) -> str:
-    """Return the module of a game's translated rules: all of a grid world's, of others the step.
+    """Return the module of a game's translated rules: a grid world's, or the kernels of others.
 
     Raises:
         ValueError: If its rules contain something that cannot be translated.
@@ -68,8 +71,12 @@ def module(game: Game) -> str:
     fields = {name: game.state[name].base for name in game.state.names or ()}
     made = Translation(dict.fromkeys(knobs(type(variant)), np.dtype(float)) | fields)
     step = made.name(game.rules.step)
-    exported = f"export {{ {', '.join(made.names)} }};"
-    ends = _of_world(game, world, variant, made, step) if world else [exported]
+    if world:
+        ends = _of_world(game, world, variant, made, step)
+    else:
+        made.name(game.symbols.background_planes)
+        made.name(game.symbols.foreground_planes)
+        ends = [f"export {{ {', '.join(made.names)} }};"]
     lines = [
         f"// The rules of {game.name}, translated from Python.",
         f'import {{ {", ".join(NAMES)} }} from "./grid.js";',
@@ -307,7 +314,7 @@ class _Function:
                 places = place.elts if isinstance(place, ast.Tuple) else [place]
                 if any(isinstance(one, ast.UnaryOp) for one in places):  # from the end
                     raise self._unknown(node)
-                return self.of(value) + "".join(f"[{self.of(one)}]" for one in places)
+                return functools.reduce(self._part, places, self.of(value))
             case ast.Tuple(elts=parts) | ast.List(elts=parts):
                 return f"[{', '.join(map(self.of, parts))}]"
             case ast.IfExp(test=test, body=body, orelse=other):
@@ -330,6 +337,12 @@ class _Function:
             case ast.Call(func=function, args=args, keywords=[]):
                 return self._call(function, args)
         raise self._unknown(node)
+
+    def _part(self, array: str, place: Any) -> str:
+        """Return a part of an array; a negative constant counts from its end."""
+        number = self._value(place)
+        from_end = f"{array}.length + " if isinstance(number, int) and number < 0 else ""
+        return f"{array}[{from_end}{self.of(place)}]"
 
     def _comparison(self, node: ast.Compare) -> str:
         sides = [node.left, *node.comparators]

@@ -79,7 +79,8 @@ def background_planes(s, scene):
     scene[:] = 0
     paint_walls(s, scene[WALL_PLANE])
     if s.other_x != NEVER and s.other_shape == DISH:
-        scene[DISH_PLANE:SHAPE_PLANE, edge + s.other_y, edge + s.other_x] = 1
+        for plane in range(DISH_PLANE, scene.shape[0] + SHAPE_PLANE):
+            scene[plane, edge + s.other_y, edge + s.other_x] = 1
     elif s.other_x != NEVER:
         scene[SHAPE_PLANE, edge + s.other_y, edge + s.other_x] = s.other_shape
         scene[COLOUR_PLANE, edge + s.other_y, edge + s.other_x] = s.other_colour

@@ -44,6 +44,6 @@ export function told(episode, first, agent, rules) {
 
 // A state without what does not move; with rules, what they show of it besides.
 export function snapshot(s, rules) {
-  const { cell, mover, thing, draws, trail_x: trail, ...fields } = s;
+  const { cell, mover, thing, scene, draws, trail_x: trail, ...fields } = s;
   return structuredClone({ ...fields, ...rules?.view?.(s) });
 }

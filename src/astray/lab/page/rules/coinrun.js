@@ -1,18 +1,21 @@
-// CoinRun: its levels and what an agent sees of it, without Python.
+// CoinRun: its levels, without Python.
 
-import { NEVER, checkAgent } from "./common.js";
+import { NEVER, checkAgent, drawn, observed } from "./common.js";
 import { coinrun } from "./constants.js";
-import { is_lava as isLava, is_supported as isSupported, step, stops } from "./coinrun-step.js";
+import * as kernels from "./coinrun-kernels.js";
 
 const f = Math.fround;
 const {
-  WORLD, PUFFS, EMPTY, COIN, PERMEABLE, NOTHING, CRATE, SAW, CRATE_HERE, SAW_HERE, WALKER_LEFT,
-  SAW_AND_LEFT, HALF, TALL, STROLL, WALKERS, EVENTS, VIEW, AROUND, GAUGE, PLANES, STAND, EDGE,
-  WALL_PLANE, HAZARD_PLANE, CRATE_PLANE, COIN_PLANE, LEFT_PLANE, RIGHT_PLANE, GAUGE_PLANE,
+  WORLD, PUFFS, EMPTY, COIN, NOTHING, CRATE, SAW, CRATE_HERE, SAW_HERE, WALKER_LEFT, SAW_AND_LEFT,
+  HALF, TALL, STROLL, WALKERS, EVENTS, VIEW, AROUND, PLANES, STILL_PLANES, STAND,
 } = coinrun;
 const FAR = 9; // cells from the runner to places with arrows; in the live lab 16, as Python is faster
 
-export const rules = { build, step, planes, copy, problem: () => null, places, put };
+const planes = (s) => observed(kernels, s, s.scene, PLANES, VIEW);
+
+export const rules = {
+  build, step: kernels.step, planes, copy, problem: () => null, places, put,
+};
 
 function build({ grid, agent, looks = {} }, variant) {
   const cell = agent.map(Math.floor);
@@ -45,6 +48,7 @@ function build({ grid, agent, looks = {} }, variant) {
   if (s.walkers > WALKERS) {
     throw new Error(`a level has at most ${WALKERS} walkers; this has ${s.walkers}`);
   }
+  s.scene = drawn(kernels, s, STILL_PLANES, WORLD + 2 * AROUND); // once, as it takes a millisecond
   return s;
 }
 
@@ -61,49 +65,6 @@ function copy(s) {
     ...s, walker_x: [...s.walker_x], walker_vx: [...s.walker_vx],
     trail_x: s.trail_x.map((trail) => [...trail]),
   };
-}
-
-const inside = (i, j) => i >= 0 && j >= 0 && i < WORLD && j < WORLD;
-
-// The agent's observation, planes [C, H, W]: walls, hazards, crates, coins, walkers to the left and
-// to the right, and gauges of how the runner moves.
-function planes(s) {
-  const data = new Uint8Array(PLANES * VIEW * VIEW);
-  const [x, y] = [Math.trunc(s.x), Math.trunc(s.y)];
-  const mark = (plane, row, column) => { data[(plane * VIEW + row) * VIEW + column] = 1; };
-  for (let row = 0; row < VIEW; row++) {
-    for (let column = 0; column < VIEW; column++) {
-      const [i, j] = [x + column - AROUND, y + row - AROUND];
-      if (!inside(i, j)) {
-        mark(WALL_PLANE, row, column);
-        continue;
-      }
-      const [cell, thing] = [s.cell[j][i], s.thing[j][i]];
-      if (stops(cell) || cell === PERMEABLE) mark(WALL_PLANE, row, column);
-      if (isLava(cell) || thing === SAW) mark(HAZARD_PLANE, row, column);
-      if (thing === CRATE) mark(CRATE_PLANE, row, column);
-      if (cell === COIN) mark(COIN_PLANE, row, column);
-    }
-  }
-  for (let k = 0; k < s.walkers; k++) {
-    const row = Math.trunc(s.walker_y[k]) - y + AROUND;
-    for (let side = 0; side < 2; side++) {
-      const column = Math.floor(s.walker_x[k] - EDGE + 2 * EDGE * side) - x + AROUND;
-      if (row >= 0 && column >= 0 && row < VIEW && column < VIEW) {
-        mark(s.walker_vx[k] < 0 ? LEFT_PLANE : RIGHT_PLANE, row, column);
-      }
-    }
-  }
-  const gauge = (row, rate) => {
-    const marks = Math.min(Math.max(Math.trunc(rate * GAUGE + 0.5), 0), GAUGE);
-    for (let k = 0; k < marks; k++) mark(GAUGE_PLANE, row + Math.floor(k / VIEW), k % VIEW);
-  };
-  gauge(0, s.x - x);
-  gauge(2, s.y - y);
-  gauge(4, s.vx + 0.5);
-  gauge(6, (s.vy + 1.5) / 3);
-  if (isSupported(s)) for (let column = 0; column < VIEW; column++) mark(GAUGE_PLANE, 8, column);
-  return { shape: [PLANES, VIEW, VIEW], data };
 }
 
 // Empty cells near the runner; whether it can get there is not known without Python.

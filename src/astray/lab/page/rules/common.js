@@ -1,6 +1,6 @@
 // Shared by the rules of all games: actions, cells, ways, and sentences about levels.
-// All constants are Python's: `astray.lab.constants` writes the module that has them. So is the step
-// of each game: `astray.lab.translate` writes rules/NAME-step.js.
+// All constants are Python's: `astray.lab.constants` writes the module that has them. So are the
+// step of each game and what an agent sees: `astray.lab.translate` writes rules/NAME-kernels.js.
 
 import { common } from "./constants.js";
 
@@ -60,6 +60,31 @@ export function cellsOf(grid, code) {
   const found = [];
   grid.forEach((row, y) => row.forEach((what, x) => what === code && found.push([x, y])));
   return found;
+}
+
+const blank = (planes, side) => Array.from({ length: planes }, () =>
+  Array.from({ length: side }, () => new Uint8Array(side)));
+
+// The part of observations that does not move, and is wider than they are, as kernels draw it.
+export function drawn(kernels, s, count, side) {
+  const scene = blank(count, side);
+  kernels.background_planes(s, scene);
+  return scene;
+}
+
+// The observation of a state, planes [C, H, W].
+export function observed(kernels, s, scene, count, side) {
+  const planes = blank(count, side);
+  kernels.foreground_planes(s, scene, planes);
+  const data = new Uint8Array(count * side * side);
+  planes.flat().forEach((row, k) => data.set(row, k * side));
+  return { shape: [count, side, side], data };
+}
+
+// The same in a maze, of which the agent sees all or a window around it.
+export function observedMaze(kernels, s, count) {
+  const side = s.window ? 2 * Math.floor(s.window / 2) + 1 : s.world;
+  return observed(kernels, s, drawn(kernels, s, count, s.world + 2 * kernels.margin(s)), count, side);
 }
 
 // One step of any game, as Gymnasium's environments count it.

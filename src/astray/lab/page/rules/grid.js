@@ -20,7 +20,13 @@ export const or = (one, other) => (yes(one) ? one : other());
 export const below = (s, n) => s.draws.below(n);
 
 export function fill(rows, value) {
-  rows.forEach((row, y) => { if (row.fill) row.fill(value); else rows[y] = value; });
+  rows.forEach((row, y) => { if (typeof row === "object") fill(row, value); else rows[y] = value; });
+}
+
+export function copyFlat(target, source) {
+  target.forEach((row, y) => {
+    if (typeof row === "object") copyFlat(row, source[y]); else target[y] = source[y];
+  });
 }
 
 export function where(layer, ...codes) {

@@ -1,16 +1,14 @@
-// Heist: its levels and its observations, without Python.
+// Heist: its levels, without Python.
 
-import { NEVER, unreachable } from "./common.js";
+import { NEVER, observedMaze, unreachable } from "./common.js";
 import { heist } from "./constants.js";
-import { step } from "./heist-step.js";
-import { begin, copy, left, places as placesOf, planes as planesOf, put, ways } from "./thief.js";
+import * as kernels from "./heist-kernels.js";
+import { begin, copy, left, places as placesOf, put, ways } from "./thief.js";
 
-const { COLOURS, KEY, DOOR_CODE, GEM, OBJECTS, LEGEND } = heist;
-const {
-  WALL_PLANE, KEY_PLANE, DOOR_PLANE, GEM_PLANE, THIEF_PLANE, HAND_PLANE, X_PLANE, Y_PLANE, PLANES,
-} = heist;
+const { COLOURS, KEY, DOOR_CODE, GEM, PLANES, OBJECTS, LEGEND } = heist;
+const planes = (s) => observedMaze(kernels, s, PLANES);
 
-export const rules = { build, step, planes, copy, problem, places, put };
+export const rules = { build, step: kernels.step, planes, copy, problem, places, put };
 
 const isDoor = (what) => what >= DOOR_CODE && what < GEM;
 const bit = (what) => 1 << ((what - KEY) % COLOURS.length);
@@ -24,16 +22,6 @@ function build(level, variant) {
   s.keys |= s.hand;
   s.all_keys = s.hand && s.hand === s.keys ? 0 : NEVER;
   return s;
-}
-
-function planes(s) {
-  const of = (what) => {
-    if (what === GEM) return [GEM_PLANE, 1];
-    return isDoor(what) ? [DOOR_PLANE, what - DOOR_CODE + 1] : [KEY_PLANE, what - KEY + 1];
-  };
-  return planesOf(s, PLANES, of, [WALL_PLANE, THIEF_PLANE, X_PLANE, Y_PLANE], (mark) => {
-    COLOURS.forEach((_, k) => mark(HAND_PLANE, k, 0, (s.hand >> k) & 1));
-  });
 }
 
 // Steps from the thief with the keys on its way.

@@ -1,14 +1,14 @@
-// Keys and Chests: its levels and what an agent sees of it, without Python.
+// Keys and Chests: its levels, without Python.
 
-import { NEVER, unreachable } from "./common.js";
+import { NEVER, observedMaze, unreachable } from "./common.js";
 import { keys, thief } from "./constants.js";
-import { step } from "./keys-step.js";
-import { begin, copy, f, left, places as placesOf, planes as planesOf, put, ways } from "./thief.js";
+import * as kernels from "./keys-kernels.js";
+import { begin, copy, f, places as placesOf, put, ways } from "./thief.js";
 
-const { KEY, CHEST, HIDDEN, PLANES, INVENTORIES } = keys;
-const { WALL_PLANE, KEY_PLANE, CHEST_PLANE, THIEF_PLANE, HAND_PLANE, X_PLANE, Y_PLANE } = keys;
+const { KEY, CHEST, PLANES, INVENTORIES } = keys;
+const planes = (s) => observedMaze(kernels, s, PLANES);
 
-export const rules = { build, step, planes, copy, problem, places, put };
+export const rules = { build, step: kernels.step, planes, copy, problem, places, put };
 
 function build(level, variant) {
   return begin(level, variant, keys, {
@@ -32,14 +32,6 @@ function addObject(s, k, x, y, off) {
     s.object_x[k] = f(f(x) + f(low + f(thief.JITTER * s.draws.unit())));
     s.object_y[k] = f(f(y) + f(low + f(thief.JITTER * s.draws.unit())));
   }
-}
-
-function planes(s) {
-  const of = (what) => [what === KEY ? KEY_PLANE : CHEST_PLANE, 1];
-  return planesOf(s, PLANES, of, [WALL_PLANE, THIEF_PLANE, X_PLANE, Y_PLANE], (mark, side) => {
-    const hand = s.inventory === HIDDEN ? 0 : Math.min(s.taken - s.opened, side * side);
-    for (let k = 0; k < hand; k++) mark(HAND_PLANE, k % side, Math.floor(k / side), 1);
-  });
 }
 
 function problem({ grid, agent }, s) {

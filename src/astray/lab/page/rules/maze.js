@@ -1,16 +1,15 @@
-// Maze: its levels and what an agent sees of it, for a page without Python.
+// Maze: its levels, for a page without Python.
 //
 // A test compares thousands of random steps with Python's, state by state.
 
-import { NEVER, WALL, cellsOf, checkAgent, distances, unreachable } from "./common.js";
+import { NEVER, WALL, cellsOf, checkAgent, distances, observedMaze, unreachable } from "./common.js";
 import { maze } from "./constants.js";
-import { is_wall as isWall, note_arrivals as noteArrivals, step } from "./maze-step.js";
+import * as kernels from "./maze-kernels.js";
 
 const { EMPTY, GOAL, OTHER, BOTH, SHAPES, COLOURS, OTHERS, WALLS } = maze;
-const { WALL_PLANE, MOUSE_PLANE, DISH_PLANE, SHAPE_PLANE, COLOUR_PLANE } = maze;
 const DISH = OTHERS.indexOf("dish");
 
-export const rules = { build, step, planes, copy, problem, places, put };
+export const rules = { build, step: kernels.step, planes, copy, problem, places, put };
 
 function only(grid, codes, name) {
   const found = codes.flatMap((code) => cellsOf(grid, code));
@@ -48,7 +47,7 @@ function build({ grid, agent, looks = {} }, variant) {
     reached_goal: NEVER, reached_corner: NEVER, reached_other: NEVER,
     time: 0, time_limit: variant.time_limit, ended: false, level: 0,
   };
-  noteArrivals(s);
+  kernels.note_arrivals(s);
   return s;
 }
 
@@ -56,34 +55,9 @@ function copy(s) {
   return { ...s, cell: s.cell.map((row) => row.slice()) };
 }
 
-// The agent's observation, planes [C, H, W]: walls, mouse, dish (where a variant has one, in as many
-// planes as it says), shapes, colours.
+// Walls, mouse, dish (in as many planes as a variant says), shapes, colours.
 function planes(s) {
-  const side = s.window ? 2 * Math.floor(s.window / 2) + 1 : s.world;
-  const [x, y] = [Math.floor(s.x), Math.floor(s.y)];
-  const [left, low] = s.window ? [x - (side >> 1), y - (side >> 1)] : [0, 0];
-  const dishes = s.other_shape === DISH ? s.dish_planes : 0;
-  const many = 4 + dishes;
-  const [shapes, colours] = [SHAPE_PLANE, COLOUR_PLANE].map((plane) => (plane + many) % many);
-  const data = new Uint8Array(many * side * side);
-  const at = (plane, i, j) => (plane * side + (j - low)) * side + (i - left);
-  const seen = (i, j) => i >= left && j >= low && i < left + side && j < low + side;
-  for (let j = low; j < low + side; j++) {
-    for (let i = left; i < left + side; i++) data[at(WALL_PLANE, i, j)] = isWall(s, i, j) ? 1 : 0;
-  }
-  for (const what of ["other", "goal"]) {
-    const [i, j] = [s[`${what}_x`], s[`${what}_y`]];
-    if (i === NEVER || !seen(i, j)) continue;
-    if (what === "other" && dishes) {
-      for (let plane = DISH_PLANE; plane < shapes; plane++) data[at(plane, i, j)] = 1;
-    } else {
-      data[at(shapes, i, j)] = s[`${what}_shape`];
-      data[at(colours, i, j)] = s[`${what}_colour`];
-    }
-  }
-  data[at(MOUSE_PLANE, x, y)] = 1;
-  if (s.reached_goal !== NEVER) data[at(shapes, x, y)] = data[at(colours, x, y)] = 0; // stands on it
-  return { shape: [many, side, side], data };
+  return observedMaze(kernels, s, 4 + (s.other_shape === DISH ? s.dish_planes : 0));
 }
 
 function ways(s) {

@@ -1,13 +1,10 @@
-// The levels and observations of Heist and of Keys and Chests: `astray.kernel.thief` without Python.
-//
-// Lengths are 32-bit floats, as all of the original's; so is all arithmetic on them.
+// The levels of Heist and of Keys and Chests: `astray.kernel.thief` without Python.
 
 import { NEVER, WALL, checkAgent, distances } from "./common.js";
-import { common, thief } from "./constants.js";
+import { common } from "./constants.js";
 import { Twister } from "./twister.js";
 
 export const f = Math.fround;
-const { STRIPS } = thief;
 
 // The state of a level; `put(s, k, x, y, off)` fills in each object k, which may be off centre.
 export function begin({ grid, agent, looks = {} }, variant, game, fields, put) {
@@ -46,38 +43,10 @@ export function begin({ grid, agent, looks = {} }, variant, game, fields, put) {
   return s;
 }
 
-function isWall(s, x, y) {
-  if (x < 0 || y < 0 || x >= s.world || y >= s.world) return true;
-  return s.cell[Math.trunc(y)][Math.trunc(x)] === WALL;
-}
-
 // Objects that are left, the last made first: [k, x, y] with their cells.
 export function left(s) {
   const cells = s.what.map((_, k) => [k, Math.trunc(s.object_x[k]), Math.trunc(s.object_y[k])]);
   return cells.filter(([k]) => s.gone[k] === NEVER).reverse();
-}
-
-// The agent's observation, planes [C, H, W]: walls in `wallPlane`; objects, where `of(what)` is
-// [plane, value]; the thief's cell, and its place in it, in `thiefPlanes`; `hand` adds the rest.
-export function planes(s, count, of, [wallPlane, ...thiefPlanes], hand) {
-  const side = s.window ? 2 * Math.floor(s.window / 2) + 1 : s.world;
-  const half = side >> 1;
-  const [x, y] = [Math.trunc(s.x), Math.trunc(s.y)];
-  const [west, low] = s.window ? [x - half, y - half] : [0, 0];
-  const data = new Uint8Array(count * side * side);
-  const mark = (plane, i, j, what) => { data[(plane * side + j) * side + i] = what; };
-  for (let j = 0; j < side; j++) {
-    for (let i = 0; i < side; i++) mark(wallPlane, i, j, isWall(s, west + i, low + j) ? 1 : 0);
-  }
-  for (const [k, u, v] of left(s)) {
-    const [i, j] = [u - west, v - low];
-    const [plane, value] = of(s.what[k]);
-    if (i >= 0 && j >= 0 && i < side && j < side) mark(plane, i, j, value);
-  }
-  const inside = [s.x, s.y].map((at) => 1 + Math.trunc(f(f(at - Math.floor(at)) * STRIPS)));
-  [1, ...inside].forEach((what, k) => mark(thiefPlanes[k], x - west, y - low, what));
-  hand(mark, side);
-  return { shape: [count, side, side], data };
 }
 
 // Steps to every cell from the thief's, over cells that are neither walls nor `isShut(x, y)`.
