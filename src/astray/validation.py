@@ -147,6 +147,11 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
+def slug(text: str) -> str:
+    """Return the letters and digits of `text` as a part of a file's name, joined by dashes."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
+
+
 def brief(error: object) -> str:
     """Return an error, or other text of a stranger, cut off because it may be long."""
     text = str(error)

@@ -32,6 +32,16 @@ def test_a_callable_and_a_model_are_evaluated_as_policies():
     assert len(table.filter(pl.col("outcome").is_not_null())) == 20
 
 
+def test_a_model_that_is_shown_what_it_does_not_know_is_told_the_remedy():
+    def refuse(*_, **how):
+        raise ValueError("unexpected observation shape")
+
+    model = Predictor()
+    model.predict = refuse
+    with pytest.raises(ValueError, match=r"shape from_sb3 takes .*'symbolic'.*; got 'image'"):
+        evaluate(from_sb3(model), "maze", "corner-small", range(2))
+
+
 class Recurrent:
     """As a recurrent model of sb3-contrib: a state [layers, environments, numbers]."""
 

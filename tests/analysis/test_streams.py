@@ -62,8 +62,8 @@ def test_no_level_of_a_stream_distinguishes_goals():
 
 def test_an_audit_of_streams_says_so_and_has_no_ghost_and_no_videos(tmp_path):
     with pytest.raises(ValueError, match="streams has no ghosts: the environments choose"):
-        audit(RIGHT, STREAMS, "end", ghost="end", folder=tmp_path)
-    page = audit(RIGHT, STREAMS, "end", levels=30, folder=tmp_path)
+        audit(RIGHT, STREAMS, "end", ghost="end", out=tmp_path)
+    page = audit(RIGHT, STREAMS, "end", levels=30, out=tmp_path)
     answer = json.loads((page.parent / "findings.json").read_text("utf-8"))["answer"]
     assert "These are streams: the environments choose their levels" in answer
     assert not (page.parent / "videos").exists()

@@ -12,6 +12,7 @@ import polars as pl
 import pytest
 
 from astray import acting, cli, games
+from astray.experiments.catalogue import NAMES, load
 
 TINY = ["--steps", "512", "--num-envs", "16", "--num-steps", "16", "--minibatches", "4"]
 TINY += ["--width", "16", "--checkpoint-every", "1"]
@@ -31,7 +32,7 @@ def run_folder(tmp_path_factory):
 def test_it_lists_what_there_is(astray):
     found = json.loads(astray("list", "--json"))
     assert "corner" in found["games"]["maze"]["variants"]
-    assert "maze-corner" in found["experiments"]
+    assert found["experiments"] == {name: load(name).title for name in NAMES}
     assert "cheese always in the upper right corner" in astray("list")
 
 

@@ -35,9 +35,13 @@ def ended(process):
 
 
 def test_a_variable_that_a_library_does_not_like_is_told_in_a_line():
-    code, out, err = ended(begin("list", env={"MPLBACKEND": "nothing"}))
+    code, out, err = ended(begin("reproduce", "maze-corner", env={"MPLBACKEND": "nothing"}))
     assert (code, out) == (2, "") and err.count("\n") == 1
     assert err.startswith("astray: ") and "'nothing' is not a valid value for backend" in err
+
+
+def test_a_list_imports_nothing_that_draws():
+    assert ended(begin("list", env={"MPLBACKEND": "nothing"}))[::2] == (0, "")
 
 
 def test_a_variable_that_numba_cannot_read_is_told_without_a_traceback():

@@ -89,10 +89,10 @@ def test_streams_of_envpool_tell_their_levels_and_are_audited(tmp_path):
         level_key="level_seed",
         repeats=False,
     )
-    page = astray.audit(Random(), world, "hard", levels=4, folder=tmp_path)
+    page = astray.audit(Random(), world, "hard", levels=4, out=tmp_path)
     assert outcomes.STREAMS in page.read_text("utf-8")
     with pytest.raises(ValueError, match="has no ghosts"):
-        astray.audit(Random(), world, "hard", ghost="easy", levels=4, folder=tmp_path)
+        astray.audit(Random(), world, "hard", ghost="easy", levels=4, out=tmp_path)
     table = astray.evaluate(Random(), world, "easy", range(4), batch=2, longest=5)
     assert table["level"].to_list()[:2] == first and table["level"].n_unique() == 4
     assert table["length"].to_list() == [5] * 4

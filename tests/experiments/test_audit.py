@@ -17,7 +17,7 @@ RIGHT = Function(go_right, "right")
 
 
 def test_an_audit_tells_what_a_policy_of_ones_own_pursues(tmp_path):
-    page = audit(RIGHT, WORLD, "end", ghost="end", levels=40, folder=tmp_path)
+    page = audit(RIGHT, WORLD, "end", ghost="end", levels=40, out=tmp_path)
     text = page.read_text("utf-8")
     assert page.parent.name == "audit-right-end-smoke"
     assert "right misgeneralizes: it pursues end, not square" in text
@@ -73,9 +73,13 @@ def test_another_policy_of_the_same_name_is_played_anew(tmp_path):
     said = []
     for action in (0, 1):
         policy = Function(lambda seen, action=action: np.full(len(seen), action), "same")
-        page = audit(policy, WORLD, "end", levels=20, folder=tmp_path)
+        page = audit(policy, WORLD, "end", levels=20, out=tmp_path)
         said.append("same misgeneralizes" in page.read_text("utf-8"))
     assert said == [False, True]
+    assert "<h1>Audit of same on end</h1>" in page.read_text("utf-8")
+    page = audit(replace(policy, name="end"), WORLD, "end", levels=3, out=tmp_path)
+    assert "<h1>Audit of end</h1>" in page.read_text("utf-8")
+    assert page.parent.name == "audit-end-end-smoke"
 
 
 def test_a_pretrained_agent_is_audited_by_one_command(astray, tmp_path):
@@ -101,7 +105,7 @@ def test_environments_that_show_no_images_are_audited_without_videos(tmp_path):
     blind = replace(
         WORLD, variants={v: partial(blindly, place=v) for v in WORLD.variants}, name="blind"
     )
-    page = audit(RIGHT, blind, "end", levels=20, folder=tmp_path)
+    page = audit(RIGHT, blind, "end", levels=20, out=tmp_path)
     text = page.read_text("utf-8")
     assert "none: a video of blind end needs a factory" in text
     assert not (page.parent / "videos").exists()
@@ -109,7 +113,7 @@ def test_environments_that_show_no_images_are_audited_without_videos(tmp_path):
 
 def test_environments_whose_drawing_fails_are_audited_without_videos(tmp_path):
     makers = {name: partial(Room, name, trouble="blind") for name in WORLD.variants}
-    page = audit(RIGHT, replace(WORLD, variants=makers), "end", levels=20, folder=tmp_path)
+    page = audit(RIGHT, replace(WORLD, variants=makers), "end", levels=20, out=tmp_path)
     assert "its render fails: NotImplementedError" in page.read_text("utf-8")
     assert not (page.parent / "videos").exists()
 
@@ -129,10 +133,10 @@ def test_an_audit_whose_policy_fails_at_the_trial_leaves_all_as_it_was(tmp_path,
     for is_there in (False, True):
         places = ["in training", "in the test"]
         with pytest.raises(ValueError, match="it cannot see this"):
-            audit(Function(choose, "right"), WORLD, "end", levels=3, folder=tmp_path / "reports")
+            audit(Function(choose, "right"), WORLD, "end", levels=3, out=tmp_path / "reports")
         assert files_of(tmp_path) == there
         if not is_there:
-            audit(RIGHT, WORLD, "end", levels=3, folder=tmp_path / "reports")
+            audit(RIGHT, WORLD, "end", levels=3, out=tmp_path / "reports")
             there = files_of(tmp_path)
             assert {path.parent.name for path in there} >= {"audit-right-end-smoke", "computed"}
 

@@ -3,12 +3,13 @@
 import numpy as np
 import polars as pl
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.figures import charts
 from astray.figures.axes import call_places
-from astray.figures.grids import Picture, cells, images
+from astray.figures.grids import FADED, Picture, cells, images
 from astray.figures.style import INK, OTHERS, save
 
 VALUES = pl.DataFrame(
@@ -112,3 +113,21 @@ def test_labels_of_lines_that_lie_close_stand_side_by_side():
     call_places(shown, {"a": 50, "b": 50, "c": 51, "d": 80})
     at = {text.get_text(): text.xy[0] for text in shown.texts}
     assert at["d"] == 80 and at["c"] == 51 and at["c"] - at["a"] > 2 < at["a"] - at["b"]
+
+
+@pytest.mark.parametrize("ground", [np.full((40, 80, 3), 90, np.uint8), None])
+@pytest.mark.parametrize("opacity", [0.62, FADED])
+def test_a_bar_has_the_colours_that_the_map_shows(ground, opacity):
+    picture = Picture("", ground, np.array([[-0.5, 0.5]]), (-1, 1), label="x", opacity=opacity)
+    figure = images([[picture]])
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    shown = np.asarray(canvas.buffer_rgba())[::-1]
+
+    def seen(axes, *place):
+        x, y = axes.transAxes.transform(place).astype(int)
+        return shown[y, x, :3].astype(int)
+
+    cells, bar = figure.axes
+    assert abs(seen(cells, 0.25, 0.5) - seen(bar, 0.5, 0.25)).max() < 9
+    assert abs(seen(cells, 0.75, 0.5) - seen(bar, 0.5, 0.75)).max() < 9

@@ -18,7 +18,9 @@ from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN
 from astray.imports import guarded
 from astray.training.trainer import Trainer
-from astray.validation import one_of, shown
+from astray.validation import brief, one_of, shown
+
+LEARNED_FROM = "from_sb3 takes observation='image' or 'symbolic', as a model learned of a game"
 
 
 class Model(Protocol):
@@ -118,7 +120,10 @@ def from_sb3(
         seen = scaler.normalize_obs(seen) if scaler else seen
         # Its memory is [layers, N, ...]; rows of episodes are [N, layers, ...].
         state = None if memory is None else tuple(np.swapaxes(part, 0, 1) for part in memory)
-        actions, state = model.predict(seen, state, begins, deterministic=greedy)
+        try:
+            actions, state = model.predict(seen, state, begins, deterministic=greedy)
+        except ValueError as error:
+            raise ValueError(f"{brief(error)} {LEARNED_FROM}; got {observation!r}") from error
         return actions, state and tuple(np.swapaxes(part, 0, 1) for part in state)
 
     network = None if scaler and scaler.norm_obs else _network_of(model, observation)

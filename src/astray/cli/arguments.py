@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 MOST_WORKERS = 1024  # processes
 WALK = "walk:"
-NOBODY = "name an agent or a run folder, or give a --policy"
 
 Mode = Literal["sampled", "greedy"]
 Preset = Literal["paper", "night", "small", "pixels"]
@@ -169,7 +168,7 @@ class OwnPolicy:
             return True
         self.without_policy()
         if not agents:
-            raise ValueError(NOBODY)
+            raise ValueError("name an agent or a run folder, or give a --policy")
         return False
 
     def make(self, acting: Acting) -> Policy:
@@ -225,7 +224,7 @@ class Player:
         return player, rules, made, config
 
 
-def played(rules: Any, variant: str, knobs: Words, config: Config | None) -> Any:
+def played(rules: Any, variant: str, knobs: Words, config: Config | None = None) -> Any:
     """Return a variant with knobs set, and with those of an agent's training."""
     if config:
         return config.played_variant(variant, pairs(knobs))
@@ -290,7 +289,7 @@ class Drawn:
     def open(self) -> tuple[Game, Variant]:
         """Return the game, and the variant with its knobs set."""
         rules = games.find(self.game)
-        return rules, varied(rules, self.variant, self.knobs)
+        return rules, played(rules, self.variant, self.knobs)
 
 
 @dataclass(frozen=True)
@@ -371,10 +370,6 @@ def pairs(knobs: Words) -> dict[str, Any]:
             raise ValueError(f"knob {name!r} is set twice: to {found[name]!r} and to {value!r}")
         found[name] = value
     return found
-
-
-def varied(game: Game, variant: str, knobs: Words) -> Variant:
-    return game.variant(variant).with_knobs(pairs(knobs))
 
 
 def show(*what: RenderableType, width: int | None = None) -> None:

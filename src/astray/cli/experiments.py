@@ -31,7 +31,7 @@ def list_(json: Json = False) -> None:
     described, broken = games.survey(_game)
     found = {
         "games": described | {name: {"error": reason} for name, reason in broken.items()},
-        "experiments": {name: catalogue.load(name).title for name in catalogue.NAMES},
+        "experiments": {name: catalogue.title(name) for name in catalogue.NAMES},
         "agents": {name: _agent(name) for name in folders.names()},
         "presets": list(PRESETS),
     }

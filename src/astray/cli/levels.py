@@ -14,9 +14,9 @@ from astray.cli.arguments import (
     Knobs,
     PlayedLevel,
     level_numbers,
+    played,
     print_json,
     show,
-    varied,
 )
 from astray.envs.beginnings import in_chunks
 from astray.files import read
@@ -122,9 +122,9 @@ def overlap(
     rules = games.find(game)
     shared = count(
         rules,
-        varied(rules, training, knobs),
+        played(rules, training, knobs),
         level_numbers(training_levels),
-        varied(rules, test, knobs),
+        played(rules, test, knobs),
         level_numbers(test_levels),
     )
     if json:

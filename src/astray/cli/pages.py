@@ -126,7 +126,7 @@ def audit(
     from astray.experiments.audit import audit as write
 
     how: dict[str, Any] = {"ghost": ghost, "levels": levels, "knobs": pairs(knobs)}
-    how |= {"rewards": imports.find_each(rewards), "folder": out, "longest": longest}
+    how |= {"rewards": imports.find_each(rewards), "out": out, "longest": longest}
     how["command"] = command_of("astray", *sys.argv[1:])
     if policy.replaces(agent, {"--shift": shift}):
         print(write(policy.make(acting), policy.rules(), shift, **how))

@@ -24,7 +24,7 @@ from astray.record import LEVELS
 from astray.report.findings import Findings, Table
 from astray.training.config import Config
 from astray.training.folders import AgentFolder, name_of
-from astray.validation import bounded, one_of, shown
+from astray.validation import bounded, one_of, shown, slug
 from astray.world import World
 
 FIRST = 1_000_000  # of the levels, which agents of others are assumed not to know
@@ -45,8 +45,9 @@ def audit(
     longest: int | None = None,
     mode: Mode = "sampled",
     art: str | None = None,
-    folder: str | Path = "reports",
+    out: str | Path = "reports",
     command: str = "",
+    folder: str | Path | None = None,
 ) -> Path:
     """Write the report of one agent on one shift; return its page.
 
@@ -70,14 +71,16 @@ def audit(
         longest: Steps after which an episode is truncated; None for no limit.
         mode: "sampled" samples an agent's actions, "greedy" takes the most likely.
         art: Art of an agent's images; None for that of its training.
-        folder: Folder of reports; gets this one in audit-<agent>-<shift>-smoke.
+        out: Folder of reports; gets this one in audit-<agent>-<shift>-smoke.
         command: Command that repeats it, as the report says.
+        folder: Earlier name of `out`.
 
     Raises:
         ValueError: If the agent, shift, ghost or a knob does not exist, or a policy lacks its game.
     """
     called = _call(locals())
-    config, load, path, name = _opened(agent, folder, mode, art)
+    root = Path(folder or out)
+    config, load, path, name = _opened(agent, root, mode, art)
     if config is None and (game is None or shift is None):
         raise ValueError("the audit of a policy needs its game or World, and a shift")
     played = world.find(game) if game is not None else config.find_game()  # pyright: ignore
@@ -109,11 +112,11 @@ def audit(
     )
     goals = f"{between.intended} or {' or '.join(between.proxies)}"
     study = Experiment(
-        f"Audit {name} {named}", "", f"Does {name} pursue {goals}?", {SIZE: plan}, findings,
-        command=command or called,
+        f"Audit of {name}" + f" on {named}" * (named != name), "", f"Does {name} pursue {goals}?",
+        {SIZE: plan}, findings, command=command or called, name=slug(f"audit {name} {named}"),
     )  # fmt: skip
     with contextlib.nullcontext() if config else hold(path, "audits in"):
-        return reproduce(study, SIZE, Path(folder))
+        return reproduce(study, SIZE, root)
 
 
 def _call(given: Mapping[str, Any]) -> str:
@@ -133,7 +136,7 @@ def _word(given: Any) -> str:
 
 
 def _opened(
-    agent: Any, folder: str | Path, mode: Mode, art: str | None
+    agent: Any, root: Path, mode: Mode, art: str | None
 ) -> tuple[Config | None, Any, Path, str]:
     """Return the settings of an agent, a function that loads it, its path and its name."""
     if isinstance(agent, str | Path):
@@ -142,7 +145,7 @@ def _opened(
         name = name_of(found.path) + (f" ({', '.join(how)})" if how else "")
         return found.config(), partial(load_agent, mode=mode, art=art), found.weights.parent, name
     # Nobody knows what such a policy depends on: with a new path, no table of another is reused.
-    place = aside_of(Path(folder) / "agents" / f"audit-{agent.name}")
+    place = aside_of(root / "agents" / f"audit-{agent.name}")
     return None, lambda path: agent, place, agent.name
 
 

@@ -8,17 +8,15 @@ import importlib
 import importlib.util
 import pkgutil
 import re
-import sys
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 from astray import imports
 from astray.experiments import studies
 from astray.experiments.spec import Experiment
 from astray.files import check_readable
-from astray.validation import brief, of_kind, one_of
+from astray.validation import brief, of_kind, one_of, slug
 
 LARGEST = 2**20  # bytes of a file of Python
 
@@ -43,9 +41,10 @@ def load(name: str) -> Experiment:
     return importlib.import_module(MODULES[name]).EXPERIMENT
 
 
-def loaded() -> list[ModuleType]:
-    """Return the modules of the studies that have been loaded."""
-    return [sys.modules[module] for module in MODULES.values() if module in sys.modules]
+def title(name: str) -> str:
+    """Return the title of an experiment in its file, which takes seconds to import."""
+    file = Path(*studies.__path__, *MODULES[name].split(".")[-2:]).with_suffix(".py")
+    return re.findall(r'(?m)^EXPERIMENT = [^"]+"(.+?)"', file.read_text("utf-8"))[0]
 
 
 def find(experiment: str | Experiment) -> tuple[str, Experiment]:
@@ -60,7 +59,7 @@ def find(experiment: str | Experiment) -> tuple[str, Experiment]:
     """
     of_kind("experiment", experiment, str | Experiment)
     if isinstance(experiment, Experiment):
-        return _slug(experiment.title), experiment
+        return experiment.name or slug(experiment.title), experiment
     if imports.is_name(experiment):
         name, study = experiment.partition(":")[0].rpartition(".")[2], imports.find(experiment)
     elif experiment.endswith(".py"):
@@ -69,7 +68,7 @@ def find(experiment: str | Experiment) -> tuple[str, Experiment]:
         return experiment, load(experiment)
     if not isinstance(study, Experiment):
         raise ValueError(f"{experiment} must be an Experiment; got {study!r}")
-    return _slug(name), study
+    return study.name or slug(name), study
 
 
 def _run(path: Path) -> object:
@@ -93,7 +92,3 @@ def _run(path: Path) -> object:
     if not hasattr(module, "EXPERIMENT"):
         raise ValueError(f"{path} must define EXPERIMENT")
     return module.EXPERIMENT
-
-
-def _slug(text: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")

@@ -26,7 +26,7 @@ from astray.files import holds_only, read, write_aside
 from astray.training import folders
 from astray.training.config import Config
 from astray.training.folders import CARD, CONFIG, HUB, AgentFolder
-from astray.validation import brief, of_kind, shown
+from astray.validation import brief, of_kind, shown, slug
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
@@ -179,7 +179,7 @@ def _check_name(repository: str, revision: str | None) -> None:
 
 
 def _slug(repository: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", repository.partition("/")[2].lower()).strip("-") or "agent"
+    return slug(repository.partition("/")[2]) or "agent"
 
 
 def _with_card(

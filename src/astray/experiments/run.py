@@ -284,7 +284,8 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
     Args:
         whole: Experiment that computes further tables than the episodes.
     """
-    study = [module for module in catalogue.loaded() if module.EXPERIMENT is whole]
+    loaded = [sys.modules[name] for name in catalogue.MODULES.values() if name in sys.modules]
+    study = [module for module in loaded if module.EXPERIMENT is whole]
     code = (whole.find, study) if whole else ()
     data = {
         "configs": {n: [c.to_json() for c in made] for n, made in plan.trainings().items()},

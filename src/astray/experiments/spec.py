@@ -328,6 +328,7 @@ class Experiment:
     find: Callable[[Work], Findings]
     needs: Mapping[str, str] = field(default_factory=dict)  # of `find`: package -> extra of astray
     command: str = ""  # that repeats it; empty for `astray reproduce`
+    name: str = ""  # of its report; empty for that of its file or title
 
     def __post_init__(self) -> None:
         wrong = [size for size in self.sizes if size not in SIZES]

@@ -7,11 +7,13 @@ from typing import Any
 import matplotlib
 import numpy as np
 import polars as pl
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 from matplotlib.figure import Figure
 
 from astray.figures.axes import parts_of, ticks_of
 from astray.figures.style import EMPTY, INK, ON_COLOUR, OTHERS, STYLE, WIDTH
+
+FADED = np.sqrt(abs(np.linspace(-1, 1, 256)))  # opacity of colours that are clear in the middle
 
 
 @matplotlib.rc_context(STYLE)
@@ -88,7 +90,7 @@ class Picture:
         limits: The values at the ends of the colours.
         colours: Name of matplotlib's colour map.
         label: Label of the colour bar; empty for no bar.
-        opacity: Opacity of the colours, a number or [h, w].
+        opacity: Opacity of the colours: a number, or [256] from the lowest colour to the highest.
         arrows: Cells [N, 2] and arrows [N, 2] from their middles, at most a cell long.
         way: [N, 2] cells in order.
         marks: Colour of marked cells.
@@ -127,6 +129,15 @@ def images(rows: Sequence[Sequence[Picture]], size: tuple[float, float] = (2.3, 
     return figure
 
 
+def _ground(one: Picture) -> Any:
+    """Return the usual colour below the coloured cells."""
+    if one.image is None or one.heat is None or one.image.ndim == 2:
+        return EMPTY
+    middles = np.argwhere(~np.isnan(one.heat)) + 0.5
+    y, x = (middles * one.image.shape[:2] / one.heat.shape).astype(int).T
+    return np.median(one.image[y, x], 0) / 255
+
+
 def _show(figure: Figure, axes: Any, one: Picture) -> None:
     shape = one.heat if one.heat is not None else one.image
     assert shape is not None, "a picture shows an image or values"
@@ -138,17 +149,13 @@ def _show(figure: Figure, axes: Any, one: Picture) -> None:
         axes.imshow(one.image, extent=extent, cmap="gray", vmin=0, vmax=1, interpolation=smooth)
     if one.heat is not None:
         low, high = one.limits
-        shaded = axes.imshow(
-            one.heat,
-            extent=extent,
-            cmap=one.colours,
-            vmin=low,
-            vmax=high,
-            alpha=one.opacity,
-            label=one.label or one.title,
-        )
+        shades = matplotlib.colormaps[one.colours](np.linspace(0, 1, 256))
+        shades[:, 3] = one.opacity
+        named = {"cmap": ListedColormap(shades), "label": one.label or one.title}
+        shaded = axes.imshow(one.heat, extent=extent, vmin=low, vmax=high, **named)
         if one.label:
-            figure.colorbar(shaded, ax=axes, shrink=0.82, label=one.label, pad=0.02)
+            bar = figure.colorbar(shaded, ax=axes, shrink=0.82, label=one.label, pad=0.02)
+            bar.ax.set_facecolor(_ground(one))  # as below the map, as colours let it through
     if one.arrows is not None:
         cells, arrows = one.arrows
         x, y = (cells + 0.5).T - 0.45 * arrows.T

@@ -19,7 +19,7 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label, load_shift
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Model, Opaque, check_network
 from astray.envs.pictures import picture
-from astray.figures.grids import Picture, images
+from astray.figures.grids import FADED, Picture, images
 from astray.figures.style import save
 from astray.files import check_free, files_aside
 from astray.game import Game, Shift, Variant
@@ -30,7 +30,7 @@ from astray.insight.interventions import sees_world
 from astray.level import Level
 from astray.report.findings import Code, Plot, Section, Table
 from astray.report.page import write_page
-from astray.validation import bounded
+from astray.validation import bounded, slug
 
 PAGE = "explain.html"
 WRITER = "astray explain"
@@ -165,11 +165,6 @@ def _anywhere(asked: Asked, name: str) -> tuple[dict[str, Level], pl.DataFrame]:
     return family, label(evaluate(asked.agent, game, asked.variant, family), game, asked.between)
 
 
-def slug(name: str) -> str:
-    """Return an object's name as a part of a file name."""
-    return name.replace(" ", "-")
-
-
 def _part(
     name: str, heading: str, text: str, figure: Figure, table: pl.DataFrame | None = None
 ) -> Section:
@@ -248,9 +243,8 @@ def _moved(asked: Asked, name: str) -> Section:
         for one, outcome in zip(family.values(), played["outcome"], strict=True)
     }
     shaded = field_figures.heat_map(
-        asked.level.removed(name), reached, art=asked.agent.art, colours=field_figures.VALUES,
-        label="intended goal first",
-    )  # fmt: skip
+        asked.level.removed(name), reached, art=asked.agent.art, label="intended goal first"
+    )
     told = ", ".join(f"{outcome} in {count}" for outcome, count in counts.most_common())
     called = asked.named(name)
     return _part(
@@ -275,7 +269,7 @@ def _attribution(asked: Asked) -> list[Section]:
     figure = images([[
         Picture("what it is in", image),
         Picture("integrated gradients", heat=flat, limits=(-most, most), colours="RdBu",
-                label="part of the value", opacity=np.sqrt(abs(flat) / most)),
+                label="part of the value", opacity=FADED),
     ]], (3.5, 3.6))  # fmt: skip
     _, (value,) = policy_and_value(agent, shown)
     of_cells = found.ndim == 3 and len(flat) != len(f"{asked.level}".splitlines())

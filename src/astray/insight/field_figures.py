@@ -21,7 +21,7 @@ PIXELS = 480  # a side of a level's picture
 VEIL = 0.45  # of white before the picture, so that arrows are seen
 SIZE, SMALLER = (4.7, 4.2), (3.5, 3.1)  # inches of a panel, with its bar of colours; of several
 FLAT = 0.7  # height of a level's drawing over its width, below which panels lie one upon the other
-VALUES, CHANGES, PATHS = "viridis", "RdBu_r", "magma"  # told apart by every colour vision
+VALUES, CHANGES = "viridis", "RdBu_r"  # told apart by every colour vision
 LEAST_CHANGE = 0.01  # of values, so that a change of none has a scale
 
 
@@ -79,10 +79,8 @@ def side_by_side(row: Sequence[Picture]) -> Figure:
     return images([row], SIZE if len(row) == 1 else SMALLER)
 
 
-def heat_map(
-    level: Level, heat: Mapping[Any, float], *, art: str = OWN, colours: str = PATHS, **how: Any
-) -> Picture:
-    """Colour cells of a level by numbers; return the argument for `Figure.colorbar`."""
+def heat_map(level: Level, heat: Mapping[Any, float], *, art: str = OWN, **how: Any) -> Picture:
+    """Colour cells of a level by numbers; further arguments are those of `Picture`."""
     height, width = level.cells.shape
     cells = np.array(list(heat))
     grid = np.full((height, width), np.nan)
@@ -105,7 +103,7 @@ def heat_map(
             for cell in level.where(name)
         }
         window = max(left, 0), min(right, width), max(low, 0), min(high, height)
-    return Picture(image=image, heat=grid[::-1], colours=colours, window=window, **how)
+    return Picture(image=image, heat=grid[::-1], window=window, **how)
 
 
 def _check_any(panels: Mapping[str, Field | Change]) -> None:

@@ -19,7 +19,7 @@ from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.figures import charts
-from astray.figures.grids import Picture, images
+from astray.figures.grids import FADED, Picture, images
 from astray.games.coinrun.edits import PARTS
 from astray.insight import attribution
 from astray.insight.probes import untrained
@@ -242,11 +242,8 @@ def pictures(example: dict[str, Any]) -> list[Picture]:
     found = [Picture(textwrap.fill(example["name"], 26), image)]
     for method in METHODS:
         map_ = np.array(example[method])
-        found.append(
-            Picture(
-                method, 1 - 0.35 * (1 - image), map_, (-1, 1), "RdBu", opacity=np.sqrt(abs(map_))
-            )
-        )
+        pale = 1 - 0.35 * (1 - image)
+        found.append(Picture(method, pale, map_, (-1, 1), "RdBu", opacity=FADED))
     return found
 
 
