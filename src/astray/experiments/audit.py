@@ -110,10 +110,10 @@ def audit(
         longest=longest,
         differences="",
     )
-    goals = f"{between.intended} or {' or '.join(between.proxies)}"
     study = Experiment(
-        f"Audit of {name}" + f" on {named}" * (named != name), "", f"Does {name} pursue {goals}?",
-        {SIZE: plan}, findings, command=command or called, name=slug(f"audit {name} {named}"),
+        f"Audit of {name}" + f" on {named}" * (named != name), "",
+        f"Does {name} pursue {' or '.join((between.intended, *between.proxies))}?", {SIZE: plan},
+        findings, command=command or called, name=slug(f"audit {name} {named}"),
     )  # fmt: skip
     with contextlib.nullcontext() if config else hold(path, "audits in"):
         return reproduce(study, SIZE, root)
