@@ -79,8 +79,7 @@ def audit(
         ValueError: If the agent, shift, ghost or a knob does not exist, or a policy lacks its game.
     """
     called = _call(locals())
-    root = Path(folder or out)
-    config, load, path, name = _opened(agent, root, mode, art)
+    config, load, path, name = _opened(agent, root := Path(folder or out), mode, art)
     if config is None and (game is None or shift is None):
         raise ValueError("the audit of a policy needs its game or World, and a shift")
     played = world.find(game) if game is not None else config.find_game()  # pyright: ignore
