@@ -113,6 +113,9 @@ def from_sb3(
 
     Args:
         greedy: Take its most likely action instead.
+
+    Raises:
+        ValueError: When it is shown observations of a kind or shape that it does not know.
     """
     scaler: Any = getattr(model, "get_vec_normalize_env", lambda: None)()
 

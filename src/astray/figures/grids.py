@@ -52,17 +52,12 @@ def cells(
             i, k = ys.index(one[y]), xs.index(one[x])
             rates[i, k] = one["mean"]
             interval = one.get("low") is not None
-            axes.text(
-                k,
-                i,
-                f"{100 * one['mean']:.0f} %",
-                ha="center",
-                va="bottom" if interval else "center_baseline",
-                color=ON_COLOUR,
-            )
+            look = {"ha": "center", "color": ON_COLOUR}
+            above = "bottom" if interval else "center_baseline"
+            axes.text(k, i, f"{100 * one['mean']:.0f} %", va=above, **look)
             if interval:
                 text = f"{100 * one['low']:.0f} to {100 * one['high']:.0f}"
-                axes.text(k, i + 0.08, text, ha="center", va="top", fontsize=7.5, color=ON_COLOUR)
+                axes.text(k, i + 0.08, text, va="top", fontsize=7.5, **look)
         shades = LinearSegmentedColormap.from_list(name, ["#ffffff", colour])
         axes.imshow(rates, cmap=shades, vmin=0, vmax=1, aspect="auto")
         axes.set_title(name, fontsize=9.5)
