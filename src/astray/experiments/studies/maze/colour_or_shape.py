@@ -249,20 +249,14 @@ EXPERIMENT = Experiment(
             "million",
         ),
         "pixels": of_mouse(
-            replace(PRESETS["pixels"], steps=2_000_000),
+            maze_corner.PIXELS,
             shift="colour-or-shape-small",
-            seeds=8,
+            seeds=10,
+            first_seed=20,
             differences=f"{maze_corner.SMALL_WORLDS}; a network of patches, and 2 million steps "
             "instead of 200 million",
         ),
-        "night": of_mouse(
-            maze_corner.NIGHT,
-            shift="colour-or-shape",
-            seeds=2,
-            first_seed=1,
-            differences=maze_corner.BY_NIGHT,
-            speed=maze_corner.SPEED,
-        ),
+        "night": maze_corner.by_night(shift="colour-or-shape", seeds=2),
         "hour": of_mouse(
             replace(maze_corner.PAPER, knobs=dict(EASY), steps=25_000_000),
             shift="colour-or-shape",

@@ -84,6 +84,7 @@ SMALL_WORLDS = (
 )
 BY_HOUR = "worlds of 15 cells instead of 25, and 25 million steps instead of 200 million"
 of_mouse = functools.partial(plan_of, MOUSE, game="maze")
+by_night = functools.partial(of_mouse, NIGHT, first_seed=1, differences=BY_NIGHT, speed=SPEED)
 
 EXPERIMENT = Experiment(
     title="The corner mouse",
@@ -100,13 +101,12 @@ EXPERIMENT = Experiment(
         "pixels": of_mouse(
             PIXELS,
             shift="corner-small",
-            seeds=3,
+            seeds=10,
+            first_seed=20,
             differences=f"{SMALL_WORLDS}; a network of patches, and 2 million steps instead of 200 "
             "million",
         ),
-        "night": of_mouse(
-            NIGHT, shift="corner", seeds=3, first_seed=1, differences=BY_NIGHT, speed=SPEED
-        ),
+        "night": by_night(shift="corner", seeds=3),
         "hour": of_mouse(
             replace(PAPER, steps=25_000_000), shift="corner-easy", differences=BY_HOUR
         ),

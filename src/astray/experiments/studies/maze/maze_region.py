@@ -188,6 +188,7 @@ EXPERIMENT = Experiment(
         "pixels": Plan(
             agents=sweep(maze_corner.PIXELS, (3, 5, 7), knobs=dict(SMALL)),
             seeds=3,
+            first_seed=20,
             tests=SMALL_TEST,
             levels=1000,
             differences="regions of 1, 3, 5 and 7 cells, in worlds of 7 instead of 25; a mouse "
