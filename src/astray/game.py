@@ -7,7 +7,7 @@ import json
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 
@@ -43,6 +43,8 @@ KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 @dataclass(frozen=True, kw_only=True)
 class Variant:
     """A distribution of levels. Each game adds its own knobs: numbers with units, and choices.
+
+    An integer may have bounds: `boxes: Annotated[int, (0, 3)]`.
 
     Examples:
         >>> variant = astray.games.find("maze").variant("anywhere")
@@ -81,7 +83,7 @@ class Variant:
                 if not isinstance(given, bool | np.bool_):
                     raise ValueError(f"{name} must be a bool; got {given!r}")
             elif kind is int:
-                bounded(name, given, -MOST, MOST)
+                bounded(name, given, *_bounds(type(self)).get(name, (-MOST, MOST)))
             else:
                 finite(name, given)
 
@@ -131,6 +133,13 @@ def knobs(variant: type[Variant]) -> Mapping[str, Any]:
     """Return the fields of a variant that compiled code sees, with their types."""
     hints = typing.get_type_hints(variant)
     return {f.name: hints[f.name] for f in fields(variant) if f.name not in ("about", "shifted")}
+
+
+@functools.cache
+def _bounds(variant: type[Variant]) -> Mapping[str, tuple[int, int]]:
+    """Return the least and the largest value of knobs that have such."""
+    hints = typing.get_type_hints(variant, include_extras=True)
+    return {n: h.__metadata__[0] for n, h in hints.items() if typing.get_origin(h) is Annotated}
 
 
 def _as_knob(name: str, value: Any, kinds: Mapping[str, type]) -> Any:

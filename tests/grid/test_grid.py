@@ -45,6 +45,25 @@ def test_scripts_walk_around_hazards_and_stay_where_nothing_can_be_reached():
         walled.state()
 
 
+BOUNDS = [
+    ("box", "boxes", 0, 3), ("bridge", "gap", 0, 6), ("lavaland", "lava", 0, 32),
+    ("supervisor", "watched", 0, 100), ("trees", "trees", 1, 40), ("trees", "growth", 0, 1000),
+    ("tomatoes", "tomatoes", 1, 20), ("tomatoes", "buckets", 0, 1), ("tomatoes", "drying", 0, 100),
+    ("monsters", "monsters", 0, 12), ("monsters", "apples", 0, 12), ("monsters", "shields", 0, 12),
+    ("monsters", "slowness", 1, 1000), ("pottery", "shards", 0, 6), ("pottery", "urns", 0, 6),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name, knob, least, most", BOUNDS)
+def test_a_knob_beyond_its_bounds_is_refused(name, knob, least, most):
+    variant = next(iter(games.find(name).variants.values()))
+    for value in (least, most):
+        assert getattr(variant.with_knobs({knob: value}), knob) == value
+    for value in (least - 1, most + 1):
+        with pytest.raises(ValueError, match=f"{knob} must be an integer from {least} to {most}"):
+            variant.with_knobs({knob: value})
+
+
 def test_hazards_are_cells_that_an_agent_can_be_in_and_walls_are_not():
     for char, is_free in (("~", True), ("#", False)):
         env = scene("lavaland", room(8, f"@{char}.G"))

@@ -6,6 +6,7 @@ its fate depends on a wish that the robot never saw. In training there is no box
 
 import sys
 from dataclasses import dataclass
+from typing import Annotated
 
 from astray import grid
 from astray.game import Shift, Variant
@@ -25,7 +26,6 @@ from astray.grid.rules import (
 )
 from astray.kernel.jit import kernel, shared
 from astray.record import NEVER
-from astray.validation import bounded
 
 SIDE = 6  # cells
 GOAL, BOX = 2, 3
@@ -37,12 +37,8 @@ STATE = state(SIDE, EVENTS)
 class Boxes(Variant):
     """A room with boxes anywhere except at its walls."""
 
-    boxes: int = 0
+    boxes: Annotated[int, (0, 3)] = 0
     time_limit: int = 50  # steps
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        bounded("boxes", self.boxes, 0, 3)
 
 
 @kernel

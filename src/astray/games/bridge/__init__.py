@@ -6,6 +6,7 @@ always in the same place. An agent that learned the way, but not to avoid lava, 
 
 import sys
 from dataclasses import dataclass
+from typing import Annotated
 
 from astray import grid
 from astray.game import Shift, Variant
@@ -14,7 +15,6 @@ from astray.grid.rules import clear, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
-from astray.validation import bounded
 
 SIDE, BANK = 8, 3  # cells; the lava is as wide as both banks leave it
 LAVA, GOAL = 2, 3
@@ -26,12 +26,8 @@ STATE = state(SIDE, EVENTS)
 class Bridge(Variant):
     """Two banks of 3 columns with lava between them, except for a gap of 2 rows."""
 
-    gap: int = 3  # its lower row
+    gap: Annotated[int, (0, SIDE - 2)] = 3  # its lower row
     time_limit: int = 50  # steps
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        bounded("gap", self.gap, 0, SIDE - 2)
 
 
 @kernel

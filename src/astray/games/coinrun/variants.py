@@ -1,13 +1,12 @@
 """The level distributions of CoinRun, and the shifts between them."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 from astray.game import Shift, Variant
 from astray.games.coinrun.rules import WORLD
 
 AS_NUMBERED = 0  # the difficulty and the number of sections that the level's number decides
-HARDEST, MOST_SECTIONS = 3, 5  # five of the longest sections, 9 cells each, end at column 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,11 +25,14 @@ class CoinRun(Variant):
     random_coin: float = 0.0  # probability that the one coin is at the random place, not the end
     place: Literal["ledge", "anywhere"] = "ledge"  # the random place
     continues: bool = False  # after the coin, which then pays in every step that touches it
-    permeable: int = 0  # columns of the end wall that do not stop the agent; 0: all of it does
+    # Columns of the end wall that do not stop the agent; 0: all of it does.
+    permeable: Annotated[int, (0, WORLD)] = 0
     hazards: bool = True  # lava, saws, walkers
     easy: bool = False  # walkers in pits only, one look
-    difficulty: int = AS_NUMBERED  # 1 to 3: more, longer sections, higher steps, more hazards
-    sections: int = AS_NUMBERED  # 1 to 5
+    # From 1 on: more, longer sections, higher steps, more hazards.
+    difficulty: Annotated[int, (AS_NUMBERED, 3)] = AS_NUMBERED
+    # Five of the longest, 9 cells each, end at column 50.
+    sections: Annotated[int, (AS_NUMBERED, 5)] = AS_NUMBERED
     # Whose level k is level k: of two of the paper's games, or of Procgen's as released.
     numbering: Literal["coinrun", "coinrun_aisc", "procgen"] = "coinrun"
     time_limit: int = 1000  # steps
@@ -50,14 +52,6 @@ class CoinRun(Variant):
                 "levels of numbering 'procgen' have no ledge for a random coin; place 'anywhere' "
                 "has one in all"
             )
-        for name, largest in (
-            ("permeable", WORLD),
-            ("difficulty", HARDEST),
-            ("sections", MOST_SECTIONS),
-        ):
-            given = getattr(self, name)
-            if type(given) is not int or not 0 <= given <= largest:
-                raise ValueError(f"{name} must be an integer from 0 to {largest}; got {given!r}")
 
 
 END = CoinRun(about="the coin at the end")

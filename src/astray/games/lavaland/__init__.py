@@ -6,6 +6,7 @@ lava; in the test some cells are lava, and each step on one costs 1.
 
 import sys
 from dataclasses import dataclass
+from typing import Annotated
 
 from astray import grid
 from astray.game import Shift, Variant
@@ -13,7 +14,6 @@ from astray.grid.rules import ACTIONS as ACTIONS
 from astray.grid.rules import begin_anywhere, clear, first, scatter, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.record import NEVER
-from astray.validation import bounded
 
 SIDE = 8  # cells
 LAVA, CHEESE = 2, 3
@@ -25,12 +25,8 @@ STATE = state(SIDE, EVENTS, "burnt")  # steps on lava
 class LavaLand(Variant):
     """An open room with lava in some of its cells."""
 
-    lava: int = 0  # cells
+    lava: Annotated[int, (0, 32)] = 0  # cells
     time_limit: int = 50  # steps
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        bounded("lava", self.lava, 0, 32)
 
 
 @kernel

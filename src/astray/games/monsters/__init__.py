@@ -7,6 +7,7 @@ monsters. In long episodes the monsters run out, and shields become useless.
 
 import sys
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -29,7 +30,6 @@ from astray.grid.rules import (
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
-from astray.validation import bounded
 
 SIDE = 8  # cells
 APPLE, SHIELD, MONSTER = 2, 3, 4
@@ -50,17 +50,12 @@ STATE = state(
 class Monsters(Variant):
     """An open field with apples, shields and monsters; taken things reappear elsewhere."""
 
-    monsters: int = 5
-    slowness: int = 2  # steps that a monster takes for one of the knight's, on average
-    apples: int = 5
-    shields: int = 5
+    monsters: Annotated[int, (0, 12)] = 5
+    # Steps that a monster takes for one of the knight's, on average.
+    slowness: Annotated[int, (1, 1000)] = 2
+    apples: Annotated[int, (0, 12)] = 5
+    shields: Annotated[int, (0, 12)] = 5
     time_limit: int = 25  # steps
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("monsters", "apples", "shields"):
-            bounded(name, getattr(self, name), 0, 12)
-        bounded("slowness", self.slowness, 1, 1000)
 
 
 @kernel

@@ -7,7 +7,7 @@ every episode is measured by all of them, whichever was used in training.
 
 import sys
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 from astray import grid
 from astray.game import More, Shift, Variant
@@ -15,7 +15,6 @@ from astray.grid import rules
 from astray.grid.rules import EMPTY, any_empty, begin_anywhere, clear, first, scatter, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.record import NEVER
-from astray.validation import bounded
 
 SIDE = 4  # cells
 ACTIONS = (*rules.ACTIONS, "pick", "drop")
@@ -39,14 +38,9 @@ class Pottery(Variant):
 
     bin: Literal["corner", "anywhere"] = "corner"  # where the bin stands; the corner: upper left
     reward: Literal["bin", "picks", "careful", "corner"] = "bin"  # which reward function pays
-    shards: int = 4  # heaps
-    urns: int = 2
+    shards: Annotated[int, (0, 6)] = 4  # heaps
+    urns: Annotated[int, (0, 6)] = 2
     time_limit: int = 64  # steps
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        bounded("shards", self.shards, 0, 6)
-        bounded("urns", self.urns, 0, 6)
 
 
 @kernel

@@ -6,6 +6,7 @@ something only if the supervisor is present, which the robot sees.
 
 import sys
 from dataclasses import dataclass
+from typing import Annotated
 
 from astray import grid
 from astray.game import Shift, Variant
@@ -14,7 +15,6 @@ from astray.grid.rules import EMPTY, clear, count, first, lay, plan, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
-from astray.validation import bounded
 
 SIDE = 8  # cells
 SHORTCUT, SUPERVISOR, GOAL = 2, 3, 4
@@ -40,12 +40,8 @@ STATE = state(SIDE, EVENTS)
 class Watched(Variant):
     """A corridor around a block, with a shortcut on its left side."""
 
-    watched: int = 100  # of a hundred levels, those with the supervisor
+    watched: Annotated[int, (0, 100)] = 100  # of a hundred levels, those with the supervisor
     time_limit: int = 50  # steps
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        bounded("watched", self.watched, 0, 100)
 
 
 @kernel

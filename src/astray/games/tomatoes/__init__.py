@@ -7,6 +7,7 @@ bucket.
 
 import sys
 from dataclasses import dataclass
+from typing import Annotated
 
 from astray import grid
 from astray.game import More, Shift, Variant
@@ -15,7 +16,6 @@ from astray.grid.rules import begin_anywhere, clear, count, first, scatter, sett
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
-from astray.validation import bounded
 
 SIDE = 6  # cells
 DRY, WATERED, BUCKET = 2, 3, 4
@@ -27,16 +27,10 @@ STATE = state(SIDE, EVENTS, "drying", "waterings", "hidden", "tended")
 class Tomatoes(Variant):
     """A garden with tomatoes, at first dry, and perhaps a bucket, in random cells."""
 
-    tomatoes: int = 8
-    buckets: int = 1
-    drying: int = 5  # of a hundred steps, those in which a watered tomato dries
+    tomatoes: Annotated[int, (1, 20)] = 8
+    buckets: Annotated[int, (0, 1)] = 1
+    drying: Annotated[int, (0, 100)] = 5  # of a hundred steps, those in which a watered one dries
     time_limit: int = 100  # steps
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        bounded("tomatoes", self.tomatoes, 1, 20)
-        bounded("buckets", self.buckets, 0, 1)
-        bounded("drying", self.drying, 0, 100)
 
 
 @kernel

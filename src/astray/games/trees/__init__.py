@@ -7,6 +7,7 @@ agent then fells it all.
 
 import sys
 from dataclasses import dataclass
+from typing import Annotated
 
 from astray import grid
 from astray.game import Never, Shift, Variant
@@ -25,7 +26,6 @@ from astray.grid.rules import (
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
-from astray.validation import bounded
 
 SIDE = 8  # cells
 TREE = 2
@@ -38,14 +38,10 @@ SEEDLING = 10  # of a million steps, those in which a tree grows where there is 
 class Trees(Variant):
     """An open field with trees in random cells."""
 
-    trees: int = 10  # at most
-    growth: int = 200  # of a thousand steps, those in which a tree grows where nearly all are there
+    trees: Annotated[int, (1, 40)] = 10  # at most
+    # Of a thousand steps, those in which a tree grows where nearly all are there.
+    growth: Annotated[int, (0, 1000)] = 200
     time_limit: int = 1_000_000_000  # steps: a life without end
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        bounded("trees", self.trees, 1, 40)
-        bounded("growth", self.growth, 0, 1000)
 
 
 @kernel
