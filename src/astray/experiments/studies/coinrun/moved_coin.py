@@ -280,6 +280,6 @@ EXPERIMENT = Experiment(
     title="The moved coin",
     reproduces="the question of Figure 2",
     question="Is a coin taken because it is seen, or because it lies where the runner comes by?",
-    sizes=_agents.plans(dict.fromkeys(_agents.SEEDS, 1000), visited=TESTS),
+    sizes=_agents.plans(dict.fromkeys(_agents.AGENTS, 1000), visited=TESTS),
     find=find,
 )
