@@ -113,6 +113,11 @@ class Variant:
         alike.pop("shift_probability", None)  # the other has nothing of its own to shift to
         return alike
 
+    def unlike(self, other: Variant) -> dict[str, Any]:
+        """Return the knobs whose values differ from those of `other`, of the same class."""
+        own = {name: getattr(self, name) for name in knobs(type(self))}
+        return {name: value for name, value in own.items() if value != getattr(other, name)}
+
     def to_json(self) -> dict[str, Any]:
         """Return all knobs, as files of settings have them."""
         return asdict(self)

@@ -292,10 +292,7 @@ class Level:
         cells = [(int(x), int(y)) for y, x in np.argwhere(free)]
         if at is None:
             return [replace(self, agent=cell) for cell in cells]
-        return [
-            replace(lifted.added(name, cell), looks=lifted._details(cell, self, at))
-            for cell in cells
-        ]
+        return [self.moved(name, cell, at) for cell in cells]
 
     def _one(self, name: str, at: Cell | None) -> Cell:
         """Return the cell of the object called `name`: its only one, or `at`."""

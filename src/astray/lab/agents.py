@@ -14,7 +14,7 @@ from astray import games
 from astray.analysis.critic import ask, visit
 from astray.analysis.runs import open_run, shift_of
 from astray.analysis.trained import Agent, Network, Opaque, check_network
-from astray.game import Game, Variant, knobs
+from astray.game import Game, Variant
 from astray.insight.actions import effects
 from astray.insight.activations import layers
 from astray.insight.episode import GAMMA, LAMBDA
@@ -156,17 +156,8 @@ def _layers(agent: Agent | Network) -> dict[str, list[int]]:
 
 def _knobs(config: Config, game: Game) -> dict[str, dict[str, Any]]:
     """Return the knobs that are changed for the agent, by variant."""
-    found = {}
-    for name, own in _own_variants(config, game):
-        plain = game.variants[name]
-        changed = {
-            knob: getattr(own, knob)
-            for knob in knobs(type(own))
-            if getattr(own, knob) != getattr(plain, knob)
-        }
-        if changed:
-            found[name] = changed
-    return found
+    own = {n: variant.unlike(game.variants[n]) for n, variant in _own_variants(config, game)}
+    return {name: changed for name, changed in own.items() if changed}
 
 
 def _own_variants(config: Config, game: Game) -> Iterator[tuple[str, Variant]]:

@@ -8,9 +8,9 @@ each operation.
 
 import ast
 import builtins
-import functools
 import inspect
 import json
+import re
 import textwrap
 import typing
 from collections.abc import Callable, Iterator, Mapping
@@ -46,7 +46,9 @@ CALLS: dict[type, str] = {  # by the page's functions; JavaScript's own bits are
 NUMPY = np.ndarray | np.generic
 Single = bool | tuple[bool, ...]  # whether a value, or each part of one, has 32 bits
 # Of `page/rules/grid.js`:
-NAMES = ["below", "copyFlat", "fill", "gridRules", "or", "settle", "where", "yes", *CALLS.values()]
+NAMES = ["below", "copyFlat", "exact", "fill", "from", "gridRules", "or", "settle", "where", "yes"]
+NAMES.extend(CALLS.values())
+LONG = re.compile(r"(?<![\d.])\d{16,}(?![\d.e])")  # integers of a page are exact up to 2 ** 53
 WORDS = frozenset(  # that mean something else in a module of JavaScript, and those of ours
     "arguments await case catch class const debugger default delete do enum eval export extends "
     "false finally function implements in instanceof interface let new null package private "
@@ -122,7 +124,7 @@ class Translation:
         self.functions: list[str] = []
         self.constants: dict[str, str] = {}
         self._names: dict[Any, str] = {}
-        self._single: dict[str, Single] = {}  # whether a function returns numbers of 32 bits
+        self.single: dict[str, Single] = {}  # whether a function returns numbers of 32 bits
 
     def name(self, kernel: Callable, single: tuple[bool, ...] = ()) -> str:
         """Return the JavaScript name of a function, which is translated at its first use.
@@ -141,7 +143,7 @@ class Translation:
             name = self._names[key] = name if name not in taken else f"{name}_{len(taken)}"
             translated = _Function(self, function, name, single)
             self.functions.append(translated.text())
-            self._single[name] = translated.returned or False
+            self.single[name] = translated.returned or False
         return self._names[key]
 
     @property
@@ -149,15 +151,14 @@ class Translation:
         """The JavaScript names of all functions."""
         return [*self._names.values()]
 
-    def returned(self, name: str) -> Single:
-        """Return whether the function of that JavaScript name returns numbers of 32 bits."""
-        return self._single.get(name, False)
-
     def constant(self, name: str, value: Any) -> str:
         """Return the JavaScript name of a constant; raise ValueError if it is not plain data."""
-        if type(value) not in (int, float, bool, tuple) and not isinstance(value, NUMPY):
-            raise ValueError(f"the constant {name} of a page must be numbers; got {shown(value)}")
-        line = f"const {name} = {json.dumps(value, default=lambda array: array.tolist())};"
+        is_plain = type(value) in (int, float, bool, tuple) or isinstance(value, NUMPY)
+        told = json.dumps(value, default=lambda array: array.tolist()) if is_plain else ""
+        if not told or LONG.search(told):
+            told = "numbers, with integers of up to 15 digits"
+            raise ValueError(f"the constant {name} of a page must be {told}; got {shown(value)}")
+        line = f"const {name} = {told};"
         while name in self._names.values() or self.constants.setdefault(name, line) != line:
             name += "_"
             line = f"const {name} = {line.partition(' = ')[2]}"
@@ -211,17 +212,13 @@ class _Function:
             case ast.Assign(targets=[target], value=value):
                 yield f"{self.of(target)} = {self._stored(target, value)};"
                 self._learn(target, self._single(value), node)
-            case ast.AugAssign(target=target, op=op, value=value):
+            case ast.AugAssign(target=target, op=op, value=value) if not _calls(target):
                 whole = ast.BinOp(target, op, value)
                 yield f"{self.of(target)} = {self._stored(target, whole)};"
                 self._learn(target, self._single(whole), node)
             case ast.If(test=test, body=body, orelse=other):
                 yield f"if (yes({self.of(test)})) {{"
-                yield from self._block(body)
-                if other:
-                    yield "} else {"
-                    yield from self._block(other)
-                yield "}"
+                yield from [*self._block(body), "} else {", *self._block(other), "}"]
             case ast.While(test=test, body=body, orelse=[]):
                 yield f"while (yes({self.of(test)})) {{"
                 yield from [*self._block(body), "}"]
@@ -247,9 +244,9 @@ class _Function:
         field = self._field(target)
         if field == np.float32 and not self._single(value):
             return f"Math.fround({self.of(value)})"
-        if isinstance(target, ast.Attribute) and isinstance(value, ast.Compare | ast.BoolOp):
-            return f"{'Boolean' if field == np.bool_ else 'Number'}({self.of(value)})"
-        return self.of(value)
+        kind = "" if field is None else field.kind
+        cast = {"i": "Math.trunc", "u": "Math.trunc", "b": "Boolean", "f": "Number"}.get(kind, "")
+        return f"{cast}({self.of(value)})"
 
     def _field(self, node: Any) -> np.dtype | None:
         """Return the type of a state's field, or of a part of it; None for anything else."""
@@ -289,7 +286,7 @@ class _Function:
     def _single_call(self, function: Any, args: list[Any]) -> Single:
         """Return whether a call gives a number of 32 bits: a kernel, a cast, or NumPy's of such."""
         if _is_kernel(function):
-            return self.made.returned(self.made.name(function, self._singles(args)))
+            return self.made.single.get(self.made.name(function, self._singles(args)), False)
         if function is np.float32 or function not in BUILT_IN or function in WIDE:
             return function is np.float32
         return all(self._singles(args))
@@ -300,21 +297,25 @@ class _Function:
     def of(self, node: Any) -> str:
         """Return an expression."""
         match node:
-            case ast.Constant(value=value):
-                return json.dumps(value)
+            case ast.Constant(value=value) if not LONG.search(text := json.dumps(value)):
+                return text
             case ast.Name(id=name):
                 return _word(name) if name in self.local else self._found(name, self._value(node))
             case ast.Attribute(value=ast.Name(id=name), attr=attribute) if self._is_module(name):
                 return self._found(attribute, self._value(node))
             case ast.Attribute(value=value, attr=attribute) if attribute in self.made.fields:
                 return f"{self.of(value)}.{attribute}"
-            case ast.Subscript(value=ast.Attribute(value=array, attr="shape"), slice=place):
-                return f"{self.of(array)}{'[0]' * ast.literal_eval(place)}.length"
+            case ast.Subscript(ast.Attribute(array, "shape"), ast.Constant(int(place))):
+                return f"{self.of(array)}{'[0]' * place}.length"
             case ast.Subscript(value=value, slice=place):
-                places = place.elts if isinstance(place, ast.Tuple) else [place]
-                if any(isinstance(one, ast.UnaryOp) for one in places):  # from the end
-                    raise self._unknown(node)
-                return functools.reduce(self._part, places, self.of(value))
+                whole = array = self.of(value)
+                for one in place.elts if isinstance(place, ast.Tuple) else [place]:
+                    at = self.of(one)
+                    if not at.isdigit() and _calls(value):  # which would be called twice
+                        raise self._unknown(node)
+                    at = at if at.isdigit() else f"from({at}, {array})"
+                    whole, array = f"{whole}[{at}]", f"{array}[0]"
+                return whole
             case ast.Tuple(elts=parts) | ast.List(elts=parts):
                 return f"[{', '.join(map(self.of, parts))}]"
             case ast.IfExp(test=test, body=body, orelse=other):
@@ -330,33 +331,23 @@ class _Function:
             case ast.BinOp(left=left, op=op, right=right) if type(op) in CALLS:
                 return f"{CALLS[type(op)]}({self.of(left)}, {self.of(right)})"
             case ast.BinOp(left=left, op=op, right=right) if type(op) in SIGNS:
-                rounded = "Math.fround" if self._single(node) else ""
+                rounded = "exact" if isinstance(op, ast.Mult) else ""
+                rounded = "Math.fround" if self._single(node) else rounded
                 return f"{rounded}({self.of(left)} {SIGNS[type(op)]} {self.of(right)})"
-            case ast.Compare():
-                return self._comparison(node)
+            case ast.Compare(ops=ops, comparators=several) if not any(map(_calls, several[:-1])):
+                sides = [self.of(side) for side in (node.left, *several)]
+                parts = zip(sides, map(type, ops), sides[1:], strict=False)
+                return f"({' && '.join(self._compared(*part, node) for part in parts)})"
             case ast.Call(func=function, args=args, keywords=[]):
                 return self._call(function, args)
         raise self._unknown(node)
 
-    def _part(self, array: str, place: Any) -> str:
-        """Return a part of an array; a negative constant counts from its end."""
-        number = self._value(place)
-        from_end = f"{array}.length + " if isinstance(number, int) and number < 0 else ""
-        return f"{array}[{from_end}{self.of(place)}]"
-
-    def _comparison(self, node: ast.Compare) -> str:
-        sides = [node.left, *node.comparators]
-        parts = []
-        for left, op, right in zip(sides, node.ops, sides[1:], strict=False):
-            one, two = self.of(left), self.of(right)
-            match op:
-                case ast.In():
-                    parts.append(f"{two}.map(String).includes(String({one}))")
-                case _ if type(op) in SIGNS:
-                    parts.append(f"{one} {SIGNS[type(op)]} {two}")
-                case _:
-                    raise self._unknown(node)
-        return f"({' && '.join(parts)})"
+    def _compared(self, one: str, op: type, two: str, node: ast.Compare) -> str:
+        if op is ast.In:
+            return f"{two}.map(String).includes(String({one}))"
+        if op not in SIGNS:
+            raise self._unknown(node)
+        return f"{one} {SIGNS[op]} {two}"
 
     def _call(self, function: Any, args: list[Any]) -> str:
         whole = ast.unparse(function)
@@ -365,6 +356,7 @@ class _Function:
         if whole == "len":
             return f"{self.of(args[0])}.length"
         value, given = self._value(function), ", ".join(map(self.of, args))
+        given = f"...[{given}].flat()" if value in (min, max) else given
         if _is_kernel(value):
             return f"{self.made.name(value, self._singles(args))}({given})"
         text = f"{self.of(function)}({given})"
@@ -395,6 +387,11 @@ class _Function:
             f"{self.function.__qualname__} must be translated for a page without Python, which "
             f"knows no {ast.unparse(node)!r}"
         )
+
+
+def _calls(node: ast.AST) -> bool:
+    """Return whether an expression calls anything, which is done once."""
+    return any(isinstance(part, ast.Call) for part in ast.walk(node))
 
 
 def _is_kernel(value: Any) -> bool:

@@ -84,12 +84,10 @@ def _centred(game: Game, variant: Variant, data: Mapping[str, Any]) -> Mapping[s
     Invalid data stay unchanged, for `Level` to report.
     """
     try:
-        cells = np.array(data["grid"], np.uint8)
+        cells, looks = np.array(data["grid"], np.uint8), data.get("looks", {})
         x, y = (int(np.floor(number)) for number in data["agent"])
-        known = np.isin(cells, [*game.editing.LEGEND.values()]).all()
-        if not known or cells.ndim != 2 or not (0 <= y < len(cells) and 0 <= x < len(cells[0])):
-            return data
-        s = game.editing.build(cells, (x, y), data.get("looks", {}), variant)
+        Level(game, variant, cells, (x, y), looks)  # which checks what compiled code relies on
+        s = game.editing.build(cells, (x, y), looks, variant)
         return {**data, "agent": game.editing.centre(s)}
     except (ValueError, TypeError, KeyError, IndexError, OverflowError, AttributeError):
         return data

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from astray import games, imports, world
-from astray.game import Game, Variant, knobs
+from astray.game import Game, Variant
 from astray.validation import of_kind
 from astray.world import World, WorldVariant
 
@@ -75,11 +75,7 @@ def _alike(game: Game, variant: Variant) -> Iterator[tuple[str, dict[str, Any]]]
     for name, own in game.variants.items():
         if type(own) is not type(variant):
             continue
-        changes = {
-            knob: getattr(variant, knob)
-            for knob in knobs(type(own))
-            if getattr(variant, knob) != getattr(own, knob)
-        }
+        changes = variant.unlike(own)
         try:
             made = own.with_knobs(changes)
         except ValueError:
