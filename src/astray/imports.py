@@ -148,6 +148,15 @@ def missing(need: str, extra: str) -> ImportError:
     return ImportError(f'{need}: pip install ".[{extra}]" in a clone of astray')
 
 
+@contextlib.contextmanager
+def extra(name: str, need: str) -> Iterator[None]:
+    """Import libraries of the extra `name` in the block; raise `missing` if one is not there."""
+    try:
+        yield
+    except ImportError as error:
+        raise missing(need, name) from error
+
+
 def needed_by(thing: str, error: ModuleNotFoundError) -> ImportError:
     """Return the error for a missing library that an installation without extras does not have."""
     library = f"{error.name}".partition(".")[0]

@@ -30,10 +30,8 @@ def play(game: Game, variant: Variant, level: int | Level | None = None, art: st
     Raises:
         ImportError: If pygame is not installed.
     """
-    try:
+    with imports.extra("play", "playing needs pygame-ce"):
         import pygame
-    except ImportError:
-        raise imports.missing("playing needs pygame-ce", "play") from None
 
     env = GameVectorEnv(game, variant, art=art, autoreset_mode="Disabled")
     current = int(np.random.default_rng().integers(LEVELS.stop)) if level is None else level

@@ -13,7 +13,7 @@ ARRAY = re.compile(r"\b(NDArray|ndarray|Tensor)\b")
 OTHERS = re.compile(r"(dict|Mapping)\[str, Tensor\]|list\[Tensor\]|Callable\[.*\]|"
                     r".*(Sequence\[int\]|range).*")  # fmt: skip
 SHAPE = r"\[[^\[\]]*\]|\bscalars?\b|\b(?:shapes?|sizes?)\b"
-MADE = {"imports.missing": "ImportError", "imports.needed_by": "ImportError"}  # by functions
+MADE = dict.fromkeys(["imports.missing", "imports.needed_by", "imports.extra"], "ImportError")
 OURS = {"AssertionError", "NotImplementedError", "StopIteration"}  # no caller is to expect them
 
 
@@ -79,10 +79,11 @@ def errors(node: ast.AST, near: Functions, seen: set[str]) -> set[str]:
         inner = errors(part, near, seen)
         if isinstance(part, ast.Raise) and part.exc:
             raised = part.exc.func if isinstance(part.exc, ast.Call) else part.exc
-            name = MADE.get(ast.unparse(raised), ast.unparse(raised).split(".")[-1])
+            name = ast.unparse(raised).split(".")[-1]
             inner |= {name} if name[0].isupper() and name not in OURS else set()
         if isinstance(part, ast.Call):
             called = ast.unparse(part.func)
+            inner |= {MADE[called]} if called in MADE else set()
             if called.removeprefix("self.").startswith("_") and called in near.keys() - seen:
                 inner |= errors(near[called], near, seen | {called})
         if isinstance(part, ast.Try):

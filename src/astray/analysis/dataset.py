@@ -294,11 +294,9 @@ def write_minari(
         ImportError: If minari is not installed.
         OSError: If the disk is full.
     """
-    try:
+    with imports.extra("minari", "Minari's layout needs it"):
         from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]
         from minari.dataset.minari_storage import MinariStorage  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise imports.missing("Minari's layout needs it", "minari") from error
     env = GameVectorEnv(game, variant, observation=about["observation"], art=about["art"])
     seen, taken = env.single_observation_space, env.single_action_space
     env.close()

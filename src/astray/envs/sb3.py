@@ -8,10 +8,8 @@ from gymnasium.vector import AutoresetMode
 
 from astray import imports
 
-try:
+with imports.extra("sb3", "astray.envs.sb3 needs stable_baselines3"):
     from stable_baselines3.common.vec_env import VecEnv
-except ImportError as error:
-    raise imports.missing("astray.envs.sb3 needs stable_baselines3", "sb3") from error
 
 from astray.envs.vector import GameVectorEnv
 

@@ -27,10 +27,8 @@ def on_ray() -> Iterator[Submit]:
         ConnectionError: If there is no cluster.
         ImportError: If Ray is not installed.
     """
-    try:
+    with imports.extra("cluster", "a Ray cluster needs ray"):
         import ray  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise imports.missing("a Ray cluster needs ray", "cluster") from error
     try:
         ray.init(address="auto", log_to_driver=False)
     except ConnectionError:

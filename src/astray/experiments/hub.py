@@ -151,10 +151,8 @@ def pull(
 
 
 def _api(endpoint: str | None) -> HfApi:
-    try:
+    with imports.extra("hub", "the Hub needs huggingface_hub"):
         from huggingface_hub import HfApi
-    except ImportError as error:
-        raise imports.missing("the Hub needs huggingface_hub", "hub") from error
     return HfApi(endpoint=endpoint)
 
 

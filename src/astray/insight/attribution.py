@@ -167,10 +167,8 @@ def fractions(
 
 
 def _captum() -> Any:
-    try:
+    with imports.extra("insight", "attribution needs captum"):
         import captum.attr
-    except ImportError:
-        raise imports.missing("attribution needs captum", "insight") from None
     return captum.attr
 
 

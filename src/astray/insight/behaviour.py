@@ -239,9 +239,7 @@ def _model(kind: Any, strength: float) -> Any:
 
 
 def _sklearn() -> tuple[Any, Any]:
-    try:
+    with imports.extra("insight", "predictions need scikit-learn"):
         from sklearn.linear_model import LogisticRegression
         from sklearn.metrics import roc_auc_score
-    except ImportError:
-        raise imports.missing("predictions need scikit-learn", "insight") from None
     return LogisticRegression, roc_auc_score

@@ -342,7 +342,5 @@ def _fitted(x: np.ndarray, y: np.ndarray, seed: int) -> tuple[Any, np.ndarray]:
 
 def need_sklearn() -> None:
     """Raise ImportError if scikit-learn is not installed."""
-    try:
+    with imports.extra("insight", "probes need scikit-learn"):
         import sklearn  # noqa: F401
-    except ImportError:
-        raise imports.missing("probes need scikit-learn", "insight") from None

@@ -64,11 +64,9 @@ def _name_of(level: Level) -> str:
 
 @functools.cache
 def _widget_class() -> type:
-    try:
+    with imports.extra("notebook", "the lab in a notebook needs anywidget"):
         import anywidget
         import traitlets
-    except ImportError:
-        raise imports.missing("the lab in a notebook needs anywidget", "notebook") from None
 
     class Lab(anywidget.AnyWidget):
         """The lab's page in a notebook's cell."""

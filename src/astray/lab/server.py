@@ -257,10 +257,8 @@ def serve(lab: Lab, port: int, browse: bool) -> None:
 
 
 def _check_installed() -> None:
-    try:
+    with imports.extra("lab", "the lab needs starlette, uvicorn and websockets"):
         import starlette
         import uvicorn
         import websockets
-    except ImportError:
-        raise imports.missing("the lab needs starlette, uvicorn and websockets", "lab") from None
     del starlette, uvicorn, websockets

@@ -89,10 +89,8 @@ class Tracker:
 def check_installed(by: Tracking) -> None:
     """Raise ImportError if a tracker is not installed, before the work that it would record."""
     one_of("tracker", by, Tracking)
-    try:
+    with imports.extra("track", f"{by} is not installed"):
         import_module(by)
-    except ImportError as error:
-        raise imports.missing(f"{by} is not installed", "track") from error
 
 
 def train_tracked(
