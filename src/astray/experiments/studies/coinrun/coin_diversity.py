@@ -236,7 +236,7 @@ def plan(size: Size, fractions: tuple[int, ...], seeds: int, levels: int) -> Pla
         agents={name: replace(agent, knobs=agent.knobs | its) for name, its in knobs.items()},
         teachers=_agents.teachers(size, knobs),
         seeds=seeds,
-        first_seed=0 if size == "smoke" else _agents.FIRST.get(size, 0),  # as kept agents have
+        first_seed=_agents.FIRST.get(size, 0),
         tests=TESTS,
         levels=levels,
         differences=fewer + _agents.DIFFERENCES[size],
@@ -250,7 +250,7 @@ EXPERIMENT = Experiment(
     question="How many training levels must have their coin elsewhere, for runners to look for "
     "the coin and not for the end of the level?",
     sizes={
-        "smoke": plan("smoke", (0, 2, 20), 5, 500),
+        "smoke": plan("smoke", (0, 2, 20), 10, 500),
         "pixels": plan("pixels", (0, 2, 20), 3, 500),
         "night": plan("night", (0, 2, 20), 2, 1000),
         "hour": plan("hour", (0, 2, 10), 1, 1000),
