@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from astray.files import (
     check_writable,
     files_aside,
     folder_aside,
+    read,
     remove_left,
     write_aside,
 )
@@ -45,6 +47,14 @@ def home(folder):
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_text(path)
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_small_file_takes_little_memory_to_read(tmp_path):
+    """Python allocates what a read asks for: under a limit, any file was one of 4 GB."""
+    (tmp_path / "few").write_bytes(b"bytes")
+    tracemalloc.start()
+    assert read(tmp_path / "few") == b"bytes" and tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
 
 
 def test_a_file_is_written_beside_hidden_ones_of_its_name(tmp_path):

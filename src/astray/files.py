@@ -32,9 +32,9 @@ def read(path: Path, most: int = LARGEST) -> bytes:
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     number = os.open(path, flags)
     try:
-        _check_regular(path, os.fstat(number), most)
+        _check_regular(path, found := os.fstat(number), most)
         with open(number, "rb", closefd=False) as file:
-            return file.read(most)
+            return file.read(found.st_size)  # Python allocates what is asked for, so not `most`
     finally:
         os.close(number)
 

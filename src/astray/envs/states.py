@@ -13,7 +13,7 @@ from astray import games
 from astray.files import read, write_aside
 from astray.game import Game
 from astray.memory import check_memory
-from astray.validation import of_kind
+from astray.validation import brief, of_kind
 
 FORMAT = 1  # goes up when the fields of a state change their meaning
 # All that NumPy raises for what is no archive of arrays.
@@ -54,7 +54,8 @@ def load_states(path: Path, game: str | Game) -> np.ndarray:
     except FileNotFoundError:
         raise FileNotFoundError(f"there are no states at {path}") from None
     except BROKEN as error:
-        why = str(error) or f"it cannot be read ({type(error).__name__})"  # as of a MemoryError
+        short = "too little memory" if isinstance(error, MemoryError) else type(error).__name__
+        why = brief(error) or f"it cannot be read ({short})"
         raise ValueError(f"{path} holds no states: {why}") from error
     if kept["game"].shape or str(kept["game"]) != game.name:
         raise ValueError(f"{path} holds states of {kept['game']}, not of {game.name}")

@@ -20,7 +20,6 @@ export const yes = (x) => (Array.isArray(x) ? x.length > 0 : Boolean(x));
 export const or = (one, other) => (yes(one) ? one : other());
 export const below = (s, n) => s.draws.below(n);
 
-// Integers above 2 ** 53 would be rounded here.
 export function exact(number) {
   if (!Number.isInteger(number) || Number.isSafeInteger(number)) return number;
   throw new Error("the rules multiply to an integer above 2 ** 53, which needs Python: astray lab");
