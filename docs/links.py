@@ -16,6 +16,8 @@ from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import Files
 from mkdocs.structure.pages import Page
 
+from astray.report import page as report
+
 ROOT = Path(__file__).parents[1]
 MADE = {  # pages of the site that are made of files elsewhere in the repository
     "README.md": "index.md",
@@ -40,7 +42,7 @@ SEARCH = 'data-md-component="search" role="dialog"'
 PLAIN_TABLE = re.compile(r"<table>(?=(?:(?!</table>|<a\b).)*</table>)", re.DOTALL)
 CODE = re.compile(r"<code\b.*?</code>", re.DOTALL)
 # An option, a name with dashes or an extra, in a text and not in a tag.
-WHOLE = re.compile(r"(?:(?<![\w-])(?:--?\w[\w-]*|\w+(?:-\w+)+)|\.\[[\w,]+\])(?![^<]*>)")
+WHOLE = re.compile(rf"(?:{report.WHOLE.pattern}|\.\[[\w,]+\])(?![^<]*>)")
 NAMED = re.compile(r'\b(?:id|name)="([^"]+)"')
 
 

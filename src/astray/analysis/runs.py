@@ -247,7 +247,8 @@ def _outcomes(
         chosen = read_levels(levels, game, variant, solvable=solvable)
     else:
         chosen = levels
-    episodes = play_all(game, name, variant, shift, chosen, policies, trial=True, **how)
+    rehearse(policies, game, variant, chosen, batch=how["batch"], rewards=how["rewards"])
+    episodes = play_all(game, name, variant, shift, chosen, policies, **how)
     return rated(episodes, game, load_shift(game, shift), [*dict.fromkeys(how["names"])])
 
 
@@ -300,7 +301,6 @@ def play_all(
     longest: int | None = None,
     rewards: Mapping[str, Reward] | None = None,
     names: Sequence[str] | None = None,
-    trial: bool = False,
 ) -> pl.DataFrame:
     """Play policies, and scripts that walk to each goal or at random.
 
@@ -332,7 +332,6 @@ def play_all(
     if isinstance(game, World) and isinstance(variant, WorldVariant) and game.repeats:
         check_repeats(game, variant, int(next(iter(levels))))
     how: Any = {"batch": batch, "measures": measures, "rewards": rewards}
-    rehearse(policies if trial else (), game, variant, levels, **how)
     parts = []
     for (its_name, origin), policy in zip(each, players, strict=True):
         run, seed, steps = origin or (None, None, None)
