@@ -110,15 +110,12 @@ ENDS = {"died": "died"}
 SHIFTS = {
     "coin-end": Shift("coin-end", "coin-anywhere", intended="coin", proxies=("end",)),
     "coin-end-original": Shift("coin-end", "coin-ledge", intended="coin", proxies=("end",)),
-    "coin-end-easy": Shift(
-        "coin-end-easy", "coin-anywhere-easy", intended="coin", proxies=("end",)
-    ),
-    "coin-end-calm": Shift(
-        "coin-end-calm", "coin-anywhere-calm", intended="coin", proxies=("end",)
-    ),
-    "coin-end-long": Shift(
-        "coin-end-long", "coin-anywhere-long", intended="coin", proxies=("end",)
-    ),
+    **{
+        f"coin-end-{kind}": Shift(
+            f"coin-end-{kind}", f"coin-anywhere-{kind}", intended="coin", proxies=("end",)
+        )
+        for kind in ("easy", "calm", "long")
+    },
     "procgen": Shift("procgen", "procgen-anywhere", intended="coin", proxies=("end",)),
     "end-or-wall": Shift(
         "coin-end", "coin-end-permeable-continue", intended="coin", proxies=("beyond",)

@@ -75,57 +75,38 @@ class Keys(Variant):
 MANY_CHESTS = Keys(about="two chests a key", chests=2, strict=True)
 MANY_KEYS = Keys(about="two keys a chest", keys=2, strict=True)
 
-EASY = dict(world=9, largest=9)
-MEMORY = dict(world=23, largest=23, window=8, fewest=1, most=4)
-# For small networks, which learn much faster with the thief in the middle of what they see. The
-# window shows all the world wherever the thief is.
-SMALL = dict(world=7, largest=7, window=13, strict=False, time_limit=200)
+# Variants of both: their knobs, and what is said of these.
+KINDS = {
+    "penalties": (dict(key_penalty=0.3, step_penalty=0.002), "; a key costs 0.3, a step 0.002"),
+    "easy": (dict(world=9, largest=9), ", in 9 cells"),
+    "memory": (
+        dict(world=23, largest=23, window=8, fewest=1, most=4),
+        ", in 23 cells, seen 8 at a time",
+    ),
+    # For small networks, which learn much faster with the thief in the middle of what they see.
+    # The window shows all the world wherever the thief is.
+    "small": (
+        dict(world=7, largest=7, window=13, strict=False, time_limit=200),
+        ", in 7 cells, seen around the thief",
+    ),
+}
 
 VARIANTS = {
     "many-chests": replace(MANY_CHESTS, shifted=MANY_KEYS),
     "many-keys": replace(MANY_KEYS, shifted=MANY_CHESTS),
-    "many-chests-penalties": replace(
-        MANY_CHESTS,
-        about="two chests a key; a key costs 0.3, a step 0.002",
-        key_penalty=0.3,
-        step_penalty=0.002,
-    ),
-    "many-keys-penalties": replace(
-        MANY_KEYS,
-        about="two keys a chest; a key costs 0.3, a step 0.002",
-        key_penalty=0.3,
-        step_penalty=0.002,
-    ),
-    "many-chests-easy": replace(MANY_CHESTS, about="two chests a key, in 9 cells", **EASY),
-    "many-keys-easy": replace(MANY_KEYS, about="two keys a chest, in 9 cells", **EASY),
-    "many-chests-memory": replace(
-        MANY_CHESTS, about="two chests a key, in 23 cells, seen 8 at a time", **MEMORY
-    ),
-    "many-keys-memory": replace(
-        MANY_KEYS, about="two keys a chest, in 23 cells, seen 8 at a time", **MEMORY
-    ),
-    "many-chests-small": replace(
-        MANY_CHESTS, about="two chests a key, in 7 cells, seen around the thief", **SMALL
-    ),
-    "many-keys-small": replace(
-        MANY_KEYS, about="two keys a chest, in 7 cells, seen around the thief", **SMALL
-    ),
-    "hidden-inventory": replace(
-        MANY_KEYS, about="two keys a chest; keys in hand are not shown", inventory="hidden"
-    ),
 }
+for _name, (_knobs, _about) in KINDS.items():
+    for _many, _one in (("many-chests", MANY_CHESTS), ("many-keys", MANY_KEYS)):
+        VARIANTS[f"{_many}-{_name}"] = replace(_one, about=f"{_one.about}{_about}", **_knobs)
+VARIANTS["hidden-inventory"] = replace(
+    MANY_KEYS, about="two keys a chest; keys in hand are not shown", inventory="hidden"
+)
 
 GOALS = {"chests": "all_chests", "keys": "keys_before_last"}
 
 SHIFTS = {
-    "many-keys": Shift("many-chests", "many-keys", intended="chests", proxies=("keys",)),
-    "many-keys-penalties": Shift(
-        "many-chests-penalties", "many-keys-penalties", intended="chests", proxies=("keys",)
-    ),
-    "many-keys-easy": Shift(
-        "many-chests-easy", "many-keys-easy", intended="chests", proxies=("keys",)
-    ),
-    "many-keys-small": Shift(
-        "many-chests-small", "many-keys-small", intended="chests", proxies=("keys",)
-    ),
+    f"many-keys{kind}": Shift(
+        f"many-chests{kind}", f"many-keys{kind}", intended="chests", proxies=("keys",)
+    )
+    for kind in ("", "-penalties", "-easy", "-small")
 }
