@@ -40,6 +40,7 @@ SECTION = re.compile(
 CONTENTS = re.compile(r'(<nav class="md-nav") aria-label="[^"]*">')
 SEARCH = 'data-md-component="search" role="dialog"'
 PLAIN_TABLE = re.compile(r"<table>(?=(?:(?!</table>|<a\b).)*</table>)", re.DOTALL)
+DATE = re.compile(r"<td>(?=\d{4}-\d\d-\d\d</td>)")
 CODE = re.compile(r"<code\b.*?</code>", re.DOTALL)
 # An option, a name with dashes or an extra, in a text and not in a tag.
 WHOLE = re.compile(rf"(?:{report.WHOLE.pattern}|\.\[[\w,]+\])(?![^<]*>)")
@@ -68,9 +69,11 @@ def accessible(output: str) -> str:
     """Return a page of the theme whose search and sections have names.
 
     No landmark has another's name, no header of a table is empty, and tables without links can be
-    reached, to be scrolled. A line of code never ends within an option or a name with dashes.
+    reached, to be scrolled. No line ends within an option, a name with dashes in code, or a date in
+    a table.
     """
     output = CODE.sub(lambda m: WHOLE.sub(r'<span class="whole">\g<0></span>', m[0]), output)
+    output = DATE.sub('<td class="whole">', output)
     output = SECTION.sub(r'\1aria-label="\2"', output).replace("<th></th>", "<td></td>")
     output = CONTENTS.sub(r'\1 role="presentation">', output)
     return PLAIN_TABLE.sub('<table tabindex="0">', output).replace(

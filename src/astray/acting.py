@@ -334,7 +334,8 @@ def steps(
         due = step.ended.any() or (silent and not played)
         if due and time.monotonic() - told > EVERY:
             told, silent = time.monotonic(), False
-            took = f" in {step.after['time'].max()} steps: --longest N truncates episodes"
+            took = f" in {step.after['time'].max()} steps"
+            took += ": --longest N truncates episodes" * isinstance(env, WorldVectorEnv)
             LOG.info("%d of %d levels played%s", played, count, "" if played else took)
         yield step
     stage.close()
