@@ -328,14 +328,13 @@ def steps(
     n = min(batch, count)
     env = without_autoreset(game, variant, n, policy.observation, policy.art, longest)
     stage = LevelByLevel(env, levels, until, longest)
-    played, told, silent = 0, time.monotonic(), longest is None
+    played, told, silent = 0, time.monotonic(), longest is None and isinstance(env, WorldVectorEnv)
     for step in play(Asking(policy), stage):
         played += int(step.ended.sum())
         due = step.ended.any() or (silent and not played)
         if due and time.monotonic() - told > EVERY:
             told, silent = time.monotonic(), False
-            took = f" in {step.after['time'].max()} steps"
-            took += ": --longest N truncates episodes" * isinstance(env, WorldVectorEnv)
+            took = f" in {step.after['time'].max()} steps: --longest N truncates episodes"
             LOG.info("%d of %d levels played%s", played, count, "" if played else took)
         yield step
     stage.close()
