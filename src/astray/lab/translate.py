@@ -78,7 +78,7 @@ def module(game: Game) -> str:
     else:
         made.name(game.symbols.background_planes)
         made.name(game.symbols.foreground_planes)
-        ends = [f"export {{ {', '.join(made.names)} }};"]
+        ends = [f"export {{ {', '.join(made.names.values())} }};"]
     lines = [
         f"// The rules of {game.name}, translated from Python.",
         f'import {{ {", ".join(NAMES)} }} from "./grid.js";',
@@ -123,7 +123,7 @@ class Translation:
         self.fields = fields  # of states and variants; arrays have none on a page
         self.functions: list[str] = []
         self.constants: dict[str, str] = {}
-        self._names: dict[Any, str] = {}
+        self.names: dict[Any, str] = {}  # JavaScript's, of functions
         self.single: dict[str, Single] = {}  # whether a function returns numbers of 32 bits
 
     def name(self, kernel: Callable, single: tuple[bool, ...] = ()) -> str:
@@ -137,19 +137,14 @@ class Translation:
             return OWN[kernel]
         function = inspect.unwrap(getattr(kernel, "py_func", kernel))
         key = function, single if any(single) else ()
-        if key not in self._names:
-            taken = {*self._names.values(), *self.constants}
+        if key not in self.names:
+            taken = {*self.names.values(), *self.constants}
             name = _word(function.__name__)
-            name = self._names[key] = name if name not in taken else f"{name}_{len(taken)}"
+            name = self.names[key] = name if name not in taken else f"{name}_{len(taken)}"
             translated = _Function(self, function, name, single)
             self.functions.append(translated.text())
             self.single[name] = translated.returned or False
-        return self._names[key]
-
-    @property
-    def names(self) -> list[str]:
-        """The JavaScript names of all functions."""
-        return [*self._names.values()]
+        return self.names[key]
 
     def constant(self, name: str, value: Any) -> str:
         """Return the JavaScript name of a constant; raise ValueError if it is not plain data."""
@@ -159,7 +154,7 @@ class Translation:
             told = "numbers, with integers of up to 15 digits"
             raise ValueError(f"the constant {name} of a page must be {told}; got {shown(value)}")
         line = f"const {name} = {told};"
-        while name in self._names.values() or self.constants.setdefault(name, line) != line:
+        while name in self.names.values() or self.constants.setdefault(name, line) != line:
             name += "_"
             line = f"const {name} = {line.partition(' = ')[2]}"
         return name
