@@ -29,6 +29,7 @@ from astray.validation import one_of
 AT_ONCE = 64  # places whose arrows are computed together, and sent
 FIRST_VISITED, VISITED, EACH = 900_000, 150, 4  # levels whose states probes are fitted in
 Shown = Agent | Network | Opaque
+ASKED_ALONE = "If it has a memory, it is asked as at the beginning of an episode."
 FAR = 16  # cells from the agent, of places in worlds that are larger than what is seen at once
 LARGE = 32  # cells a side of such a world
 
@@ -103,8 +104,7 @@ class Agents:
         """Return states [N] of the agent's own episodes in the world's variant, for probes."""
         agent = check_network(self.player(name))
         numbers = range(FIRST_VISITED, FIRST_VISITED + VISITED + 1)
-        asked = world.number
-        spared = numbers[-1] if asked is None or asked not in numbers else asked
+        spared = next((one for one in numbers if one == world.number), numbers[-1])
         key = (name, repr(world.variant), spared)
         if key not in self._visited:
             levels = [number for number in numbers if number != spared]
@@ -145,7 +145,8 @@ def _about(policy: Network | Opaque, tested: str | None) -> dict[str, Any]:
         "variants": [n for n, variant in game.variants.items() if sees(policy, game, variant)],
         "observation": policy.observation, "art": policy.art, "network": None,
         "knobs": {}, "steps": None, "gamma": GAMMA, "lam": LAMBDA, "seed": policy.seed,
-        "reward_deviation": None, "caveat": policy.caveat,
+        "reward_deviation": None,
+        "caveat": ASKED_ALONE if isinstance(policy, Opaque) else policy.caveat,
         "layers": {} if isinstance(policy, Opaque) else _layers(policy),
     }  # fmt: skip
 
@@ -171,10 +172,8 @@ def _own_variants(config: Config, game: Game) -> Iterator[tuple[str, Variant]]:
 
 def sees(agent: Shown, game: Game, variant: Variant) -> bool:
     """Return whether observations of `variant` fit the agent's network."""
-    if agent.observation == "image":
-        return True
-    if not game.symbols:
-        return False
+    if agent.observation == "image" or not game.symbols:
+        return agent.observation == "image"
     return isinstance(agent, Opaque) or game.symbols.planes(variant).shape == agent.space.shape
 
 
