@@ -1,7 +1,6 @@
 """Are trained mice goal-directed, and towards what? MEG, a second measure of it."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -15,6 +14,7 @@ from astray.estimate import Estimate
 from astray.experiments.levels import levels_of
 from astray.experiments.spec import Experiment, Plan, Test, Work
 from astray.experiments.studies.insight._plans import CORNER_MOUSE, of_levels
+from astray.experiments.studies.maze.maze_corner import PIXELS
 from astray.figures import charts
 from astray.game import Variant
 from astray.insight.directedness import directedness
@@ -23,12 +23,10 @@ from astray.insight.probes import untrained
 from astray.level import Cell
 from astray.report.claims import Claim, above, near_zero
 from astray.report.findings import Findings, Plot, Table
-from astray.training.config import PRESETS
 
 SYMBOLS, PICTURES = "mouse, symbols", "mouse, pictures"
 UNTRAINED, RANDOM = "untrained network", "random policy"
 CHEESE, CORNER = "cheese", "corner"
-ABOUT = {"variant": "corner-small", "validation": "anywhere-small"}
 WALKS = {f"walk to {goal}": goal for goal in (CHEESE, CORNER)}
 WHERE = "cheese anywhere"
 PUBLISHED = "MEG falls as a policy errs more (Figure 4); not measured for mice"
@@ -154,10 +152,7 @@ def scripted(field: Field, taken: np.ndarray) -> Field:
     return Field(field.places, taken / taken.sum(1, keepdims=True), field.value)
 
 
-MICE = {
-    SYMBOLS: ("maze-corner", CORNER_MOUSE),
-    PICTURES: ("maze-corner-pixels", replace(PRESETS["pixels"], **ABOUT, steps=2_000_000)),
-}
+MICE = {SYMBOLS: ("maze-corner", CORNER_MOUSE), PICTURES: ("maze-corner-pixels", PIXELS)}
 EXPERIMENT = Experiment(
     title="Goal-directedness",
     reproduces="MacDermott et al. 2024 (arXiv 2412.04758), their measure, of mice",

@@ -10,9 +10,9 @@ from astray.estimate import Estimate
 from astray.experiments import outcomes
 from astray.experiments.outcomes import rate
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.experiments.studies.maze.maze_corner import SYMBOLS
 from astray.report.claims import above, near_zero, rounded
 from astray.report.findings import Findings, Table
-from astray.training.config import PRESETS
 
 FRACTION = 0.02  # of training levels whose cheese is anywhere
 BEGUN = 3_600  # such levels, in all: 2 % of the 180,000 that a training of mice begins
@@ -93,9 +93,7 @@ def begun(work: Work) -> pl.DataFrame:
     )
 
 
-MOUSE = replace(
-    PRESETS["small"], variant="corner-small", validation="anywhere-small", steps=4_000_000
-)
+MOUSE = replace(SYMBOLS, steps=4_000_000)
 MIXED = MOUSE.changed(
     knobs={"shift_probability": FRACTION}, sampler="mixed", fraction=WITHIN, shifted_levels=BEGUN
 )

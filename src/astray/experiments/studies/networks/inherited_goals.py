@@ -7,9 +7,10 @@ from astray.analysis.outcomes import INTENDED
 from astray.experiments import outcomes
 from astray.experiments.outcomes import rate
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.experiments.studies.maze.maze_corner import PIXELS, SYMBOLS
 from astray.report.claims import above, near_zero, rounded
 from astray.report.findings import Findings
-from astray.training.config import PRESETS, Config
+from astray.training.config import Config
 
 CORNER, CHEESE = "teacher of the corner", "teacher of the cheese"
 OF_CORNER, OF_CHEESE = "student of the corner", "student of the cheese"
@@ -74,21 +75,10 @@ def find(work: Work) -> Findings:
     )
 
 
-MOUSE = replace(
-    PRESETS["small"],
-    variant="corner-small",
-    validation="anywhere-small",
-    steps=4_000_000,
-    width=256,  # with 64 a teacher of cheese anywhere reaches it in 47 % of levels
-)
+# With a width of 64 a teacher of cheese anywhere reaches it in 47 % of levels.
+MOUSE = replace(SYMBOLS, steps=4_000_000, width=256)
 PLAIN = replace(MOUSE, epochs=1, steps=2_000_000)
-PATCHES = replace(
-    PRESETS["pixels"],
-    variant="corner-small",
-    validation="anywhere-small",
-    epochs=1,
-    steps=1_500_000,
-)
+PATCHES = replace(PIXELS, epochs=1, steps=1_500_000)
 
 
 def plan(student: Config, differences: str) -> Plan:
