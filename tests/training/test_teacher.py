@@ -147,32 +147,32 @@ def test_a_sampler_that_learns_from_scores_has_no_students():
 SOLVED = replace(TINY, teacher="solver", steps=4096, epochs=3, learning_rate=3e-3)
 
 
-def test_the_solver_says_the_way_to_the_intended_goal_and_what_it_is_worth():
+def test_the_solver_says_the_way_to_the_intended_goal():
     with contextlib.closing(Trainer(SOLVED)) as trainer:
         player, game = trainer.player, trainer.player.game
         assert trainer.teacher
         for t in range(3):
             states = player.envs[0].get_state()
-            wanted, values = trainer.teacher.says(states["time"] == 0)
+            wanted = trainer.teacher.says(t, states["time"] == 0)
             for i, s in enumerate(states.view(np.recarray)):
                 action = game.actions[int(wanted[i].argmax())]
                 assert game.actions[game.solver.expert(s, "cheese")(s)] == action
-                best = game.solver.optimal_return(s, "cheese", SOLVED.gamma)
-                assert float(values[i]) == pytest.approx(best, rel=1e-4)
             torch.testing.assert_close(wanted.exp().sum(-1), torch.ones(len(states)))
             right = np.full(len(states), game.actions.index("right"))
             player.step(t, 0, Answer(right))
 
 
-def test_values_of_the_solver_are_on_the_scale_of_the_rewards_from_the_first_rollout_on():
-    with contextlib.closing(Trainer(replace(SOLVED, taught=0.5))) as trainer:
+@pytest.mark.parametrize("taught", ["solver", "tiny"])
+def test_who_will_be_alone_learns_values_from_its_own_rewards(taught, student):
+    alone = replace(SOLVED, teacher=None)
+    with contextlib.closing(Trainer(alone)) as trainer:
+        expected = collect(trainer)
+    config = replace(alone, teacher=taught, taught=0.5)
+    with contextlib.closing(Trainer(config, teacher=student / TEACHER)) as trainer:
         samples = collect(trainer)
-        deviation = trainer.player.normaliser.variance**0.5
-        assert abs(deviation - 1) > 0.1
-        assert trainer.teacher
-        told = [float(x) * deviation for x in samples.target.flatten()]
-    # Of a cell beside the cheese, which some of so many mice begin in: all of the reward.
-    assert max(told) == pytest.approx(10, rel=1e-3)
+    assert isinstance(samples, Taught)
+    torch.testing.assert_close(samples.target, expected.target, atol=3e-3, rtol=0)  # bfloat16
+    assert float(samples.target.std()) > 0.3
 
 
 def test_a_student_of_the_solver_learns_without_reward():

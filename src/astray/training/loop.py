@@ -266,15 +266,13 @@ def collect(trainer: Trainer) -> Samples:
         if step.cut:
             cut.append((*step.cut, rollout.after[step.cut[0][1]]))
     player.settle()
-    if teacher:
-        return teacher.samples()
     next_value = rollout.value[1:].clone()
     if cut:
         indices, shown_last, memory = zip(*cut, strict=True)
         steps, where = torch.from_numpy(np.concatenate(indices, 1))
         next_value[steps, where] = trainer.fast.values(shown_last, memory)
     rollout.estimate(config, next_value)
-    return rollout.samples()
+    return teacher.samples() if teacher else rollout.samples()
 
 
 @torch.no_grad()

@@ -1,13 +1,15 @@
-"""Distillation: a student learns its teacher's policy and values in its own episodes.
+"""Distillation: a student learns its teacher's policy in its own episodes.
 
 The student acts, in training levels alone, so that the student's ambiguity about goals stays. In
-each of its states the teacher gives action probabilities and a value. The teacher is an agent or
-the game's exact solver, and may stop before the training ends.
+each of its states the teacher gives action probabilities. The teacher is an agent or the game's
+exact solver, and may stop before the training ends. An agent that stays to the end gives its
+values, too. Otherwise the critic learns from the student's own rewards: beside the values of a
+better policy, all that a student does when it is alone would be a disappointment.
 """
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +35,7 @@ SURE = 0.9  # the chance that a solver gives its action; all others share what i
 
 @dataclass(frozen=True)
 class Taught(Samples):
-    """Samples whose `target` is the teacher's value; advantages are unused and 0."""
+    """Samples with the teacher's policy; advantages are unused."""
 
     wanted: Tensor  # [..., actions] float32, logarithms of the teacher's probabilities
 
@@ -73,34 +75,28 @@ class Lessons:
 
     def __init__(self, config: Config, student: Actor, rollout: Rollout):
         self.config, self.student, self.rollout = config, student, rollout
-        shape = config.num_steps, len(rollout.player.images)
-        self._wanted = torch.empty((*shape, rollout.player.actions), device=config.device)
-        self._value = torch.empty(shape, device=config.device)
+        shape = config.num_steps, len(rollout.player.images), rollout.player.actions
+        self._wanted = torch.empty(shape, device=config.device)
 
     def send(self, t: int, group: int, turn: Turn) -> None:
-        if t < len(self._value):
-            self._wanted[t], self._value[t] = self.says(turn.begins)
+        if t < len(self._wanted):
+            self._wanted[t] = self.says(t, turn.begins)
         self.student.send(t, group, turn)
 
     def receive(self, group: int) -> Answer:
         return self.student.receive(group)
 
     def samples(self) -> Taught:
-        """Return the student's samples of a rollout, with the teacher's policies and values."""
-        if self.config.taught < 1:  # rewards are to teach, too
-            self.rollout.take_in()
+        """Return the student's samples of a rollout, with the teacher's policies."""
         own = self.rollout.samples()
         made = TaughtSequences if isinstance(own, Sequences) else Taught
-        return made(**vars(own) | {"target": self.targets()}, wanted=self._wanted)
+        return made(**vars(own), wanted=self._wanted)
 
-    def targets(self) -> Tensor:
-        """Return the values [T, N] that the student is taught."""
-        return self._value
-
-    def says(self, begins: np.ndarray) -> tuple[Tensor, Tensor]:
-        """Return log-probabilities [N, actions] and values [N] for the current states.
+    def says(self, t: int, begins: np.ndarray) -> Tensor:
+        """Return log-probabilities [N, actions] for the current states.
 
         Args:
+            t: Step of the rollout.
             begins: [N] bool, whether an episode has begun.
         """
         raise NotImplementedError
@@ -139,8 +135,13 @@ class Teacher(Lessons):
                 f"the teacher {config.teacher} must know observations of {sees}, those of "
                 f"{config.variant}; it knows {known.shape}"
             )
+        self._value = torch.empty((config.num_steps, self.env.num_envs), device=config.device)
 
-    def says(self, begins: np.ndarray) -> tuple[Tensor, Tensor]:
+    def samples(self) -> Taught:
+        made = super().samples()
+        return replace(made, target=self._value) if self.config.taught == 1 else made
+
+    def says(self, t: int, begins: np.ndarray) -> Tensor:
         states = np.concatenate([env.get_state() for env in self.rollout.player.envs])
         observations = torch.from_numpy(self.env.set_state(states)).to(self.config.device)
         if isinstance(self.network, Recurrent):
@@ -148,41 +149,29 @@ class Teacher(Lessons):
             logits, values, self.state = self.network.recall(observations, self.state, first)
         else:
             logits, values = self.network(observations)
-        return ppo.log_probabilities(logits), values
+        self._value[t] = values
+        return ppo.log_probabilities(logits)
 
 
 class Solver(Lessons):
-    """Lessons of the game's exact solver, which takes the shortest way to the intended goal.
-
-    Its value is the optimal discounted return, normalised like the student's rewards after the
-    rollout.
-    """
+    """Lessons of the game's exact solver, which takes the shortest way to the intended goal."""
 
     def __init__(self, config: Config, student: Actor, rollout: Rollout):
         super().__init__(config, student, rollout)
         self.goal = config.intended_goal()
         self.experts: list[Callable[[Any], int] | None] = [None] * len(rollout.player.images)
 
-    def says(self, begins: np.ndarray) -> tuple[Tensor, Tensor]:
+    def says(self, t: int, begins: np.ndarray) -> Tensor:
         player = self.rollout.player
         solver, actions = player.game.solver, player.actions
         states = trusted(np.concatenate([env.get_state() for env in player.envs]))
         wanted = np.full((len(states), actions), np.log((1 - SURE) / (actions - 1)), np.float32)
-        values = np.empty(len(states))
         for i, s in enumerate(states):
             expert = self.experts[i]
             if expert is None or begins[i]:
                 expert = self.experts[i] = solver.expert(s, self.goal)
             wanted[i, expert(s)] = np.log(SURE)
-            values[i] = solver.optimal_return(s, self.goal, self.config.gamma)
-        device = self.config.device
-        return torch.from_numpy(wanted).to(device), torch.from_numpy(values).float().to(device)
-
-    def targets(self) -> Tensor:
-        if self.config.normalise_reward:
-            values = self._value.numpy(force=True)
-            self._value[:] = torch.from_numpy(self.rollout.player.normaliser.scaled(values))
-        return self._value
+        return torch.from_numpy(wanted).to(self.config.device)
 
 
 def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Tensor]:
