@@ -188,7 +188,7 @@ def test_a_lab_that_cannot_be_exported_is_refused_before_anything_is_computed(
         ValueError, match=r"mine must be a world of `astray\.grid`.*without --export"
     ):
         exporting.export(make_lab(None, {"game": "mine"}), tmp_path / "site")
-    with pytest.raises(ValueError, match="'coin-end-pixels' sees images of coinrun, where things"):
+    with pytest.raises(ValueError, match="'coin-end-pixels' sees images of coinrun: there is no"):
         exporting.export(make_lab("coin-end-pixels", {}), tmp_path / "site")
     with pytest.raises(ValueError, match="unknown variant 'far' of heist"):
         exporting.export(make_lab(None, {}), tmp_path / "site", games={"heist": "far"})
@@ -214,7 +214,7 @@ def test_a_lab_that_cannot_be_exported_is_refused_before_a_level_is_looked_for(
     said = f"{tmp_path} must be new, or an empty folder; there is something in it"
     assert said in astray("lab", "maze-corner", "--export", tmp_path, fails=True)
     words = ("lab", "coin-end-pixels", "--export", tmp_path / "site")
-    assert "'coin-end-pixels' sees images of coinrun, where things" in astray(*words, fails=True)
+    assert "'coin-end-pixels' sees images of coinrun: there is no" in astray(*words, fails=True)
 
 
 @pytest.mark.parametrize("words", [("audit", "maze-corner"), ("reproduce", "maze-corner")])

@@ -247,8 +247,7 @@ def _outcomes(
         chosen = read_levels(levels, game, variant, solvable=solvable)
     else:
         chosen = levels
-    rehearse(policies, game, variant, chosen, batch=how["batch"], rewards=how["rewards"])
-    episodes = play_all(game, name, variant, shift, chosen, policies, **how)
+    episodes = play_all(game, name, variant, shift, chosen, policies, trial=True, **how)
     return rated(episodes, game, load_shift(game, shift), [*dict.fromkeys(how["names"])])
 
 
@@ -301,6 +300,7 @@ def play_all(
     longest: int | None = None,
     rewards: Mapping[str, Reward] | None = None,
     names: Sequence[str] | None = None,
+    trial: bool = False,
 ) -> pl.DataFrame:
     """Play policies, and scripts that walk to each goal or at random.
 
@@ -309,6 +309,7 @@ def play_all(
 
     Args:
         names: Name of each policy in the table; None for their own.
+        trial: Rehearse the policies once all else is checked.
 
     Raises:
         ValueError: If an argument is invalid, or two policies have one name.
@@ -332,6 +333,7 @@ def play_all(
     if isinstance(game, World) and isinstance(variant, WorldVariant) and game.repeats:
         check_repeats(game, variant, int(next(iter(levels))))
     how: Any = {"batch": batch, "measures": measures, "rewards": rewards}
+    rehearse(policies if trial else (), game, variant, levels, **how)
     parts = []
     for (its_name, origin), policy in zip(each, players, strict=True):
         run, seed, steps = origin or (None, None, None)
