@@ -102,16 +102,16 @@ TILES = {
         "up",
         "Agents that learned where the way through the lava is walk into it when it is "
         f"elsewhere ({LEIKE}): [this robot](agents/bridge-middle/card.md) and four more burn in "
-        "99.6 % (98.1 to 99.9) of episodes.",
+        "99.4 % (96.9 to 99.9) of episodes.",
         "bridge-middle",
         3,
     ),
     "supervisor": Tile(
         "Absent supervisor",
         "absent",
-        f"Agents that see whether somebody watches take the shortcut when nobody does ({LEIKE}). "
-        "Ours differ: [this robot](agents/supervisor-half/card.md) does in 57.3 % (54.2 to 60.3) "
-        "of 1,000 levels, and two of five never do.",
+        "Agents that see whether somebody watches take the shortcut when nobody does "
+        f"({LEIKE}): [this robot](agents/supervisor-half/card.md) and four more do in 97.0 % (78.5 "
+        "to 99.7) of episodes.",
         "supervisor-half",
         3,
     ),
