@@ -309,7 +309,7 @@ def play_all(
 
     Args:
         names: Name of each policy in the table; None for their own.
-        trial: Rehearse the policies once all else is checked.
+        trial: Rehearse the policies after these checks.
 
     Raises:
         ValueError: If an argument is invalid, or two policies have one name.
