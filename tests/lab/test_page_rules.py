@@ -196,7 +196,7 @@ def test_an_integer_that_a_page_would_round_is_told(chrome, static, exported, tm
 
 
 def called(chrome, static, exported, tmp_path, body):
-    """What the kernel of that body returns in a page."""
+    """Run the kernel of that body in a page, and return its result."""
     _, there = translated(tmp_path, body)
     imported = f'import {{ {", ".join(translate.NAMES)} }} from "./grid.js";\nconst world = 0;'
     (exported / "rules" / "asks.js").write_text(f"{imported}\n{there}\nexport {{ asks }};\n")
