@@ -1,4 +1,4 @@
-"""A student learns what its teacher would do, in its own episodes, and nothing of rewards."""
+"""A student learns what its teacher would do, in its own episodes."""
 
 import contextlib
 from dataclasses import replace
@@ -175,7 +175,7 @@ def test_who_will_be_alone_learns_values_from_its_own_rewards(taught, student):
     assert float(samples.target.std()) > 0.3
 
 
-def test_a_student_of_the_solver_learns_without_reward():
+def test_a_student_comes_nearer_to_the_solver():
     with contextlib.closing(Trainer(replace(SOLVED, variant="corner-small"))) as trainer:
         kl = [improve(trainer)[0]["update/kl"] for _ in range(12)]
     assert kl[-1] < 0.8 * kl[0]

@@ -3,8 +3,8 @@
 The student acts, in training levels alone, so that the student's ambiguity about goals stays. In
 each of its states the teacher gives action probabilities. The teacher is an agent or the game's
 exact solver, and may stop before the training ends. An agent that stays to the end gives its
-values, too. Otherwise the critic learns from the student's own rewards: beside the values of a
-better policy, all that a student does when it is alone would be a disappointment.
+values, too. Otherwise the critic learns from the student's own rewards: measured against the values
+of a better policy, whatever a student does when it is alone would look like a loss.
 """
 
 import contextlib
