@@ -274,7 +274,7 @@ def experiment_page(name: str) -> str:
     parts = [
         f"# {experiment.title}",
         inspect.getdoc(module),
-        f"*{experiment.question}* Reproduces: {experiment.reproduces.replace(': ', ', ')}.",
+        f"*{experiment.question}* Reproduces: {experiment.reproduces}.",
         "\n".join(
             ["```bash", *(f"astray reproduce {name} --size {s}" for s in experiment.sizes), "```"]
         ),

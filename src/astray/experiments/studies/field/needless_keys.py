@@ -63,7 +63,7 @@ SETTINGS: Any = dict(width=256, gamma=0.98, learning_rate=1e-3, entropy_weight=0
 
 EXPERIMENT = Experiment(
     title="Needless keys",
-    reproduces="nothing: a question of our own",
+    reproduces="nothing, a question of our own",
     question="Does a thief that always needed keys take some where none is needed?",
     sizes={
         "smoke": Plan(

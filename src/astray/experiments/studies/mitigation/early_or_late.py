@@ -99,7 +99,7 @@ MIXED = MOUSE.changed(
 )
 EXPERIMENT = Experiment(
     title="Early, late, or throughout",
-    reproduces="nothing: a question of our own",
+    reproduces="nothing, a question of our own",
     question="Training distinguishing levels are few. Does it matter when they come?",
     sizes={
         "smoke": Plan(

@@ -96,7 +96,7 @@ def plan(student: Config, differences: str) -> Plan:
 
 EXPERIMENT = Experiment(
     title="Inherited goals",
-    reproduces="nothing: a question of our own",
+    reproduces="nothing, a question of our own",
     question="A student learns what its teacher would do, in levels that leave the teacher's goal "
     "open. Does it inherit the goal, or choose anew?",
     sizes={

@@ -104,7 +104,7 @@ LARGE = SMALL.changed(
 
 EXPERIMENT = Experiment(
     title="Memory in mazes",
-    reproduces="nothing: a question of our own",
+    reproduces="nothing, a question of our own",
     question="Does an agent with memory misgeneralize more or less than one without?",
     sizes={
         "smoke": Plan(

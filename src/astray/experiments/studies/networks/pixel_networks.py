@@ -104,7 +104,7 @@ def sooner(game: str, ours: np.ndarray, papers: np.ndarray) -> Claim:
 
 EXPERIMENT = Experiment(
     title="Networks for images",
-    reproduces="nothing: a question of our own",
+    reproduces="nothing, a question of our own",
     question="Which network learns most from the paper's images in three minutes of one processor?",
     sizes={
         "pixels": Plan(

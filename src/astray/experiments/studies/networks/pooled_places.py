@@ -66,7 +66,7 @@ def find(work: Work) -> Findings:
 
 EXPERIMENT = Experiment(
     title="Pooled places",
-    reproduces="nothing: a question of our own",
+    reproduces="nothing, a question of our own",
     question="The corner is a place. Does a network that averages over places still look for it?",
     sizes={
         "pixels": Plan(
