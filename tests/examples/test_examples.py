@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from helpers.processes import begin
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "open-room"
 
 
@@ -24,21 +26,28 @@ def beside(tmp_path_factory):
     return os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
 
 
-def run(environment, folder, *words):
-    done = subprocess.run(
-        [sys.executable, *words], env=environment, cwd=folder, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+def run(program, folder, *words, env=None):
+    code, out, err = begin(program, folder, *words, env=env or os.environ).ended()
+    assert code == 0, out + err
+    return out
+
+
+PYTEST = """
+import sys, pytest
+if __name__ == "__main__":  # which a training's process does not do again
+    sys.exit(pytest.main(sys.argv[1:]))
+"""
 
 
 def test_its_own_tests_pass(beside, tmp_path):
-    run(beside, tmp_path, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(EXAMPLE / "tests"))
+    words = ("-q", "-p", "no:cacheprovider", str(EXAMPLE / "tests"))
+    run(PYTEST, tmp_path, *words, env=beside)
 
 
 VERBS = """
-import sys
+import sys, warnings
 from astray.cli import main
+warnings.simplefilter("ignore")
 for words in sys.argv[1:]:
     sys.argv = ["astray", *words.split()]
     main()
@@ -53,7 +62,7 @@ def test_verbs_know_it(beside, tmp_path):
         "--num-steps 16 --minibatches 2",
         "evaluate runs/open-room-corner/seed-0 --levels 0:50 --json",
     )
-    said = run(beside, tmp_path, "-W", "ignore", "-c", VERBS, *words)
+    said = run(VERBS, tmp_path, *words, env=beside)
     listed, _, assessed, _ = said.split("done\n")
     assert (
         "open-room" in listed
@@ -76,8 +85,8 @@ source.write_text(source.read_text().replace("return 0.0, False", "return 0.5, F
 
 
 def test_an_edit_of_its_rules_is_seen_by_the_next_process(beside, tmp_path):
-    assert run(beside, tmp_path, "-c", EDITED).split() == ["0.0", "0.0"]
-    assert run(beside, tmp_path, "-c", EDITED).split() == ["0.5", "0.5"]
+    assert run(EDITED, tmp_path, env=beside).split() == ["0.0", "0.0"]
+    assert run(EDITED, tmp_path, env=beside).split() == ["0.5", "0.5"]
 
 
 def test_the_page_on_extending_runs_as_it_stands(tmp_path):
@@ -127,8 +136,7 @@ def run_page(name, count, folder, change=lambda page: page):
     page = change((EXAMPLE.parents[1] / "docs" / f"{name}.md").read_text("utf-8"))
     blocks = [part.partition("```")[0] for part in page.split("```python\n")[1:]]
     assert len(blocks) == count
-    (folder / "page.py").write_text("\n".join(blocks), "utf-8")
-    return run(os.environ | {}, folder, "page.py")
+    return run("\n".join(blocks), folder)
 
 
 def test_the_figures_of_results_are_of_the_tables_on_their_pages():

@@ -31,7 +31,7 @@ from astray.training.config import Config
 from helpers import registered
 from helpers.edits import edit
 from helpers.miniature import miniature, train_here
-from helpers.processes import environment
+from helpers.processes import begin, environment
 from helpers.trainings import TINY
 
 PATIENCE = 300  # seconds that a process is waited for; machines may be busy
@@ -317,27 +317,24 @@ train(TINY, pathlib.Path(sys.argv[1]), progress=False, wait=True)
 """
 
 
-def begin(program, folder, **options):
-    """Another Python that does `program` in `folder`."""
-    words = [sys.executable, "-c", program, str(folder)]
-    return subprocess.Popen(words, env=environment(), stderr=subprocess.PIPE, text=True, **options)
-
-
-def test_two_that_reproduce_the_same_at_once_both_come_to_its_end(reports):
-    both = [begin(REPRODUCE, reports) for _ in range(2)]
-    said = [process.communicate()[1] for process in both]
-    assert [process.returncode for process in both] == [0, 0], said
+def test_two_that_reproduce_the_same_at_once_both_come_to_its_end(reports, tmp_path):
+    both = [begin(REPRODUCE, tmp_path, reports) for _ in range(2)]
+    codes, _, said = zip(*(one.ended() for one in both), strict=True)
+    assert codes == (0, 0), said
     assert sum("another process works on" in text for text in said) == 1
     assert (reports / "maze-corner-smoke" / "report.html").exists()
 
 
 def test_a_training_that_another_process_does_is_waited_for(tmp_path):
-    with checkpoint.claim(tmp_path, TINY):
-        second = begin(TRAIN, tmp_path)
-        assert "is training in" in second.stderr.readline()
-        assert second.poll() is None and not checkpoint.steps_saved(tmp_path)
-    assert second.communicate() and second.returncode == 0
-    assert checkpoint.finished(tmp_path, TINY)
+    run_folder = tmp_path / "run"
+    with checkpoint.claim(run_folder, TINY):
+        second = begin(TRAIN, tmp_path, run_folder)
+        wait_for(
+            lambda: second.err.exists() and "is training in" in second.err.read_text(), PATIENCE
+        )
+        assert second.process.is_alive() and not checkpoint.steps_saved(run_folder)
+    assert second.ended()[0] == 0
+    assert checkpoint.finished(run_folder, TINY)
 
 
 LINES = "agents/*/seed-*/metrics.jsonl"
@@ -357,7 +354,10 @@ LINES = "agents/*/seed-*/metrics.jsonl"
 def test_an_interrupt_ends_all_trainings_in_a_line(first, sent, code, told, tmp_path):
     program = "from astray.cli import main; import sys; sys.argv = ['astray', 'reproduce', "
     program += "'maze-corner', '--out', sys.argv[1]]; main()"
-    process = begin(program, tmp_path, start_new_session=True)
+    words = [sys.executable, "-c", program, str(tmp_path)]
+    process = subprocess.Popen(
+        words, env=environment(), stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
     try:
         wait_for(lambda: list(tmp_path.glob(first)), PATIENCE)
         os.killpg(process.pid, sent)  # as a terminal does: to all of them

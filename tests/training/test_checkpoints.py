@@ -4,8 +4,6 @@ import ast
 import json
 import os
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +19,7 @@ from astray.training.config import Config
 from astray.training.log import METRICS
 from astray.training.loop import train
 from helpers.killed import CONFIG
-from helpers.processes import environment
+from helpers.processes import begin
 
 SHORT = replace(CONFIG, steps=4 * 1024)
 PACKAGE = Path(policy.__file__).parents[1]
@@ -49,10 +47,10 @@ def files(folder):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_a_run_that_is_killed_at_any_moment_loses_nothing(tmp_path):
     kills = os.environ.get("ASTRAY_KILLS", "3")
-    words = [sys.executable, "-m", "helpers.killed", str(tmp_path), kills]
-    done = subprocess.run(words, env=environment(), capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
+    program = "import runpy; runpy.run_module('helpers.killed', run_name='__main__')"
+    code, out, err = begin(program, tmp_path, tmp_path, kills).ended()
+    assert code == 0, err
+    told = json.loads(out)
     assert told["kills"] >= int(kills) and told["runs"] >= 1
 
 

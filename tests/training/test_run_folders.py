@@ -1,8 +1,6 @@
 """Run folders that are shared, closed or on a full disk."""
 
 import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -17,19 +15,17 @@ from astray.training import checkpoint, folders
 from astray.training.loop import train
 from astray.training.settings import SEEDS
 from helpers.killed import CONFIG, contents
-from helpers.processes import environment
+from helpers.processes import begin
 
 
 def test_two_processes_cannot_train_in_one_folder(tmp_path):
-    words = [
-        sys.executable,
-        "-c",
+    program = (
         "from helpers.killed import CONFIG\nimport pathlib\nfrom astray.training.loop "
-        f"import train\ntrain(CONFIG, pathlib.Path({str(tmp_path)!r}), progress=False)",
-    ]
+        f"import train\ntrain(CONFIG, pathlib.Path({str(tmp_path)!r}), progress=False)"
+    )
     with checkpoint.claim(tmp_path, CONFIG):  # which this process trains in
-        other = subprocess.run(words, env=environment(), capture_output=True, text=True)
-    assert other.returncode == 1 and "another process is training in" in other.stderr
+        code, _, err = begin(program, tmp_path).ended()
+    assert code == 1 and "another process is training in" in err
     assert not checkpoint.steps_saved(tmp_path)
 
 
