@@ -1,4 +1,4 @@
-"""Positions of an agent in games whose states hold its centre as reals x and y."""
+"""Positions of an agent in games whose states hold them as numbers x and y."""
 
 from typing import Any
 
@@ -18,6 +18,7 @@ class Placement:
         editing: Editing,
         solver: Solver,
         within: tuple[float, float] = (0.5, 0.5),
+        offset: float = 0,
         **at_rest: float,
     ):
         """Create the ability.
@@ -25,14 +26,16 @@ class Placement:
         Args:
             editing: The game's ability to describe levels.
             solver: The game's solver.
-            within: Centre of an agent in cell (0, 0).
+            within: Values of x and y of an agent in cell (0, 0).
+            offset: Cells from x and y to the agent's centre.
             **at_rest: Values of further state fields after the agent was moved.
         """
-        self._editing, self._solver, self._within, self._at_rest = editing, solver, within, at_rest
+        self._editing, self._solver = editing, solver
+        self.within, self.offset, self.at_rest = within, offset, at_rest
 
     def centre(self, states: np.ndarray) -> np.ndarray:
         """Return the agents' centres [N, 2] float64 in `states` [N], in cells."""
-        return np.stack([states["x"], states["y"]], -1).astype(np.float64)
+        return np.stack([states["x"], states["y"]], -1).astype(np.float64) + self.offset
 
     def stand(self, s: Any) -> np.ndarray:
         """Return the cells in which the agent can be put, [H, W] bool."""
@@ -44,7 +47,7 @@ class Placement:
     def put(self, states: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """Return copies of states [N] with the agents in `cells` [N, 2], at rest."""
         found = states.copy()
-        found["x"], found["y"] = (cells + self._within).T
-        for name, value in self._at_rest.items():
+        found["x"], found["y"] = (cells + self.within).T
+        for name, value in self.at_rest.items():
             found[name] = value
         return found

@@ -21,15 +21,16 @@ PLAY = """async ([game, level, variant, actions]) => {
   const { rules } = await import(new URL(`rules/${game}.js`, location.href));
   const { advance } = await import(new URL("rules/common.js", location.href));
   const { snapshot } = await import(new URL("engine/episodes.js", location.href));
-  const s = rules.build(level, variant);
-  const packed = () => btoa(String.fromCharCode(...rules.planes(s).data));
-  const told = [[snapshot(s, rules), packed(), 0, false]];
+  const played = [[rules.build(level, variant), 0]];
   for (const action of actions) {
+    const s = rules.copy(played.at(-1)[0]); // those before are told last, to see that they stay
     const { reward } = advance(rules, s, action);
-    told.push([snapshot(s, rules), packed(), reward, s.ended]);
+    played.push([s, reward]);
     if (s.ended) break;
   }
-  return JSON.stringify(told);
+  const packed = (s) => btoa(String.fromCharCode(...rules.planes(s).data));
+  const told = ([s, reward]) => [snapshot(s, rules), packed(s), reward, s.ended];
+  return JSON.stringify(played.map(told));
 }"""
 
 

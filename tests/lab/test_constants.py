@@ -22,7 +22,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.figures.axes import COLOURS
 from astray.figures.style import OTHERS
 from astray.kernel import rng, thief
-from astray.lab import constants, goals, translate
+from astray.lab import constants, goals, rules
 from astray.level import Level
 from astray.outcome import INTENDED, MISGENERALIZED
 from astray.training import ppo
@@ -55,10 +55,10 @@ def test_planes_have_the_order_of_python(chrome, static, exported, monkeypatch, 
 @contextmanager
 def now(exported):
     """The exported page has the constants that Python has now, in its kernels, too."""
-    made = {constants.PATH: constants.module()}
+    made = {constants.PATH: constants.module(), rules.SHARED: rules.shared()}
     for path in (exported / "rules").glob("*-kernels.js"):
         game = games.find(path.name.removesuffix("-kernels.js"))
-        made[translate.path(game)] = translate.module(game).encode()
+        made[rules.path(game)] = rules.module(game).encode()
     before = {path: (exported / path).read_bytes() for path in made}
     for texts in (made, before):
         for path, text in texts.items():

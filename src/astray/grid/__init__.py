@@ -14,6 +14,7 @@ from astray.game import Benchmark, Game, Outcome, Shift
 from astray.grid import abilities
 from astray.grid.abilities import Cells, World, where
 from astray.grid.looks import looks, sprites, symbols
+from astray.places import Placement
 
 __all__ = ["Cells", "where", "world", "world_of"]
 _MADE: dict[Game, World] = {}
@@ -70,7 +71,8 @@ def world(
         {goal: event for goal, event in goals.items() if isinstance(event, str)},
         seek, module.furnish, level_fields or {}, bounds or {},
     )  # fmt: skip
-    there, art = abilities.places(made), Path(module.__file__).parent / "art"
+    editing, solver = abilities.editing(made), abilities.solver(made)
+    art = Path(module.__file__).parent / "art"
 
     def invariants(s: np.ndarray, variant: Any) -> dict[str, np.ndarray]:
         return made.truths(s)
@@ -80,9 +82,9 @@ def world(
         looks(art, side, kinds, agents),
         variants, goals, shifts,
         symbols=symbols(side, len(kinds) + len(agents), centred),
-        editing=abilities.editing(made), solver=abilities.solver(made),
-        places=there, cells=there, sprites=sprites(art, made.pictures(), agents),
-        benchmark=Benchmark(next(iter(variants))),
+        editing=editing, solver=solver, cells=abilities.cells(made),
+        places=Placement(editing, solver, (0, 0), 0.5), benchmark=Benchmark(next(iter(variants))),
+        sprites=sprites(art, made.pictures(), agents),
         invariants=invariants, **rest,
     )  # fmt: skip
     _MADE[game] = made

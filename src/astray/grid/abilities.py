@@ -128,8 +128,6 @@ def editing(world: World) -> Any:
         s.cell[:], s.mover[:] = cells % OVER, cells // OVER
         s.time_limit, (s.x, s.y) = variant.time_limit, at
         settle(s)
-        for event in world.rules.EVENTS:
-            s[event] = NEVER
         world.furnish(s, variant.records().view(np.recarray)[0])
         for name, usual in world.looks.items():
             s[name] = looks.get(name, usual)
@@ -141,24 +139,11 @@ def editing(world: World) -> Any:
     )  # fmt: skip
 
 
-def places(world: World) -> Any:
-    """Return the abilities `places` and `cells`."""
-
-    def centre(states: np.ndarray) -> np.ndarray:
-        return np.stack([states["x"], states["y"]], -1) + 0.5
-
-    def stand(s: Any) -> np.ndarray:
-        found = reachable(world, s) & (s.cell == 0) & (s.mover == 0)
-        found[int(s.y), int(s.x)] = True
-        return found
+def cells(world: World) -> Any:
+    """Return the ability `cells`."""
 
     def free(s: Any) -> np.ndarray:
         return walkable(world, s)
-
-    def put(states: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        found = states.copy()
-        found["x"], found["y"] = cells.T
-        return found
 
     def target(s: Any, goal: str) -> tuple[int, int] | None:
         wanted = world.seek(s, goal) if goal in world.events else None
@@ -167,7 +152,7 @@ def places(world: World) -> Any:
         ((x, y),) = wanted
         return (x, y) if s.mover[y, x] == 0 else None  # what moves has no cell
 
-    return SimpleNamespace(centre=centre, stand=stand, put=put, free=free, target=target)
+    return SimpleNamespace(free=free, target=target)
 
 
 def reachable(world: World, s: Any) -> np.ndarray:

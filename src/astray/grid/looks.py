@@ -11,7 +11,7 @@ import numpy as np
 from astray.art import own
 from astray.game import OWN, Looks
 from astray.grid.rules import EMPTY, WALL
-from astray.kernel.canvas import blit, copy_flat, pixel, tile
+from astray.kernel.canvas import blit, copy_flat, fill_flat, pixel, tile
 from astray.kernel.jit import kernel, shared
 
 SHARED = Path(__file__).parent / "art"
@@ -52,9 +52,7 @@ def foreground_planes(s, scene, planes):
     In planes larger than the world, the agent is in the middle, with walls around.
     """
     side, seen, agent = s.cell.shape[0], planes.shape[1], planes.shape[0] - 1
-    flat = planes.reshape(-1)
-    for k in range(flat.size):
-        flat[k] = 0
+    fill_flat(planes, 0)
     left, low = 0, 0
     if seen > side:
         left, low = side - 1 - s.x, side - 1 - s.y

@@ -21,6 +21,14 @@ def copy_flat(target, source):
 
 
 @kernel
+def fill_flat(target, value):
+    """Fill a contiguous array with a number."""
+    flat = target.reshape(-1)
+    for k in range(flat.size):
+        flat[k] = value
+
+
+@kernel
 def copy_window(target, source, top, left):
     """Fill `target` with the part of `source` whose upper left pixel is (top, left)."""
     height, width, depth = target.shape

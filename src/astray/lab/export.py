@@ -21,7 +21,7 @@ from astray.analysis.trained import Agent
 from astray.files import check_empty, folder_aside, write_aside
 from astray.game import Game, Variant
 from astray.insight.fields import states_at
-from astray.lab import translate
+from astray.lab import rules
 from astray.lab.agents import places, sees
 from astray.lab.server import files
 from astray.lab.session import FORMAT, Lab, about_game, drawings
@@ -127,7 +127,7 @@ def _write_data(
         variants = _variants(lab, game, about, further.get(game.name))
         told = about_game(game)
         names = {"variants", "knobs"}
-        _write(folder.parent / translate.path(game), translate.module(game).encode())
+        _write(folder.parent / rules.path(game), rules.module(game).encode())
         found[game.name] = told | {n: {v: told[n][v] for v in variants} for n in names}
         for name in variants:
             data = {"levels": _levels(game, game.variant(name), levels)}

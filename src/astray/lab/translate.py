@@ -1,9 +1,7 @@
-"""Rules of games as JavaScript, for pages without Python.
+"""Kernels as JavaScript, for pages without Python.
 
-Kernels are a small part of Python: numbers, loops, fields of a state. `module` translates a game's
-`step` and symbolic planes, of a grid world `step`, `furnish` and `seek`, and every kernel that
-these call; `page/rules` has the rest. Numbers that have 32 bits in Python are rounded to them after
-each operation.
+Kernels are a small part of Python: numbers, loops, fields of a state. Reals that have 32 bits in
+Python are rounded to them after each operation, and integers without a sign are BigInt of 64 bits.
 """
 
 import ast
@@ -12,28 +10,26 @@ import inspect
 import json
 import re
 import textwrap
-import typing
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from astray import grid
-from astray.game import Game, knobs
-from astray.grid.rules import settle
-from astray.kernel.canvas import copy_flat
-from astray.kernel.rng import below
-from astray.lab.worlds import snapshot
+from astray.kernel.canvas import copy_flat, fill_flat
 from astray.validation import shown
 
 # What the page has itself: Python's functions -> JavaScript's, as "name" or "Math.name".
-OWN = {grid.where: "where", settle: "settle", below: "below", copy_flat: "copyFlat"}
+OWN = {grid.where: "where", copy_flat: "copyFlat", fill_flat: "fill"}
 BUILT_IN: dict[Any, str] = {
     abs: "Math.abs", min: "Math.min", max: "Math.max", int: "Math.trunc", bool: "Boolean",
     np.sign: "Math.sign", np.int64: "Math.trunc", np.floor: "Math.floor", np.ceil: "Math.ceil",
-    np.sqrt: "Math.sqrt", np.float32: "Math.fround", np.float64: "Number",
+    np.sqrt: "Math.sqrt", np.float32: "Math.fround", np.float64: "Number", np.uint64: "wide",
 }  # fmt: skip
-WIDE = {int, bool, np.int64, np.float64}  # whose results are never of 32 bits
+SINGLE, WIDE = "single", "wide"  # a real of 32 bits; an integer of 64 without a sign
+CASTS = {
+    np.float32: SINGLE, np.uint64: WIDE, int: "", bool: "", np.int64: "", np.float64: "",
+}  # fmt: skip
 SIGNS: dict[type, str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=",
     ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.USub: "-", ast.UAdd: "+",
@@ -43,77 +39,22 @@ CALLS: dict[type, str] = {  # by the page's functions; JavaScript's own bits are
     ast.FloorDiv: "floorDiv", ast.Mod: "mod", ast.BitOr: "bitOr", ast.BitAnd: "bitAnd",
     ast.LShift: "shiftLeft", ast.RShift: "shiftRight",
 }  # fmt: skip
+WHOLE: dict[type, str] = SIGNS | {  # between integers of 64 bits
+    ast.FloorDiv: "/", ast.Mod: "%", ast.BitOr: "|", ast.BitAnd: "&", ast.BitXor: "^",
+    ast.LShift: "<<", ast.RShift: ">>",
+}  # fmt: skip
 NUMPY = np.ndarray | np.generic
-Single = bool | tuple[bool, ...]  # whether a value, or each part of one, has 32 bits
-# Of `page/rules/grid.js`:
-NAMES = ["below", "copyFlat", "exact", "fill", "from", "gridRules", "or", "settle", "where", "yes"]
+Kind = str | tuple[str, ...]  # of a value, or of each part of one: SINGLE, WIDE, or "" for others
+# Of `page/rules/python.js`:
+NAMES = ["copyFlat", "exact", "fill", "from", "or", "where", "wide", "yes"]
 NAMES.extend(CALLS.values())
 LONG = re.compile(r"(?<![\d.])\d{16,}(?![\d.e])")  # integers of a page are exact up to 2 ** 53
 WORDS = frozenset(  # that mean something else in a module of JavaScript, and those of ours
     "arguments await case catch class const debugger default delete do enum eval export extends "
     "false finally function implements in instanceof interface let new null package private "
     "protected public static super switch this throw true typeof undefined var void yield "
-    f"Array Boolean Math Number String rules world {' '.join(NAMES)}".split()
+    f"Array Boolean Math Number String game gridRules rules {' '.join(NAMES)}".split()
 )
-
-
-def path(game: Game) -> str:
-    """Return the path of `module` from the page, which has all but the kernels of some games."""
-    return f"rules/{game.name}{'' if grid.world_of(game) else '-kernels'}.js"
-
-
-def module(game: Game) -> str:
-    """Return the module of a game's translated rules: a grid world's, or the kernels of others.
-
-    Raises:
-        ValueError: If its rules contain something that cannot be translated.
-    """
-    world = grid.world_of(game)
-    (variant, *_) = game.variants.values()
-    fields = {name: game.state[name].base for name in game.state.names or ()}
-    made = Translation(dict.fromkeys(knobs(type(variant)), np.dtype(float)) | fields)
-    step = made.name(game.rules.step)
-    if world:
-        ends = _of_world(game, world, variant, made, step)
-    else:
-        made.name(game.symbols.background_planes)
-        made.name(game.symbols.foreground_planes)
-        ends = [f"export {{ {', '.join(made.names.values())} }};"]
-    lines = [
-        f"// The rules of {game.name}, translated from Python.",
-        f'import {{ {", ".join(NAMES)} }} from "./grid.js";',
-        *made.constants.values(),
-        *made.functions,
-        *ends,
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _of_world(game: Game, world: Any, variant: Any, made: Any, step: str) -> list[str]:
-    """Return the lines that make a grid world's rules of its translated functions."""
-    furnish, seek = made.name(world.furnish), made.name(world.seek)
-    choices = {name: list(typing.get_args(kind)) for name, kind in knobs(type(variant)).items()}
-    told = {
-        "LEGEND": game.editing.LEGEND, "STOOD_ON": game.editing.STOOD_ON,
-        "objects": {n: game.editing.LEGEND[char] for n, char in game.editing.OBJECTS.items()},
-        "side": world.side, "held": world.held, "looks": world.looks,
-        "kinds": len(world.things) + len(world.movers), "solid": world.codes(world.solid),
-        "seen": game.symbols.planes(variant).shape[-1], "events": list(game.rules.EVENTS),
-        "choices": {name: those for name, those in choices.items() if those},
-        "agents": list(world.agents), "numbers": _numbers(game),
-    }  # fmt: skip
-    return [
-        f"const world = {json.dumps(told)};",
-        f"export const rules = gridRules({{ ...world, step: {step}, furnish: {furnish}, "
-        f"seek: {seek} }});",
-    ]
-
-
-def _numbers(game: Game) -> list[str]:
-    """Return the names of a state's numbers that a page receives."""
-    s = np.zeros(1, game.state).view(np.recarray)[0]
-    shown = snapshot(game, s)
-    return [name for name, value in shown.items() if isinstance(value, int | float)]
 
 
 class Translation:
@@ -124,33 +65,42 @@ class Translation:
         self.functions: list[str] = []
         self.constants: dict[str, str] = {}
         self.names: dict[Any, str] = {}  # JavaScript's, of functions
-        self.single: dict[str, Single] = {}  # whether a function returns numbers of 32 bits
+        self.kinds: dict[str, Kind] = {}  # of what functions return
+        self.stored: set[str] = set()  # fields that they write to, and more
 
-    def name(self, kernel: Callable, single: tuple[bool, ...] = ()) -> str:
+    def module(self, about: str, *ends: str) -> str:
+        """Return all that was translated as a module that ends with some lines."""
+        imported = f'import {{ {", ".join(NAMES)} }} from "./python.js";'
+        lines = [*self.constants.values(), *self.functions, *ends]
+        return "\n".join([f"// {about}, translated from Python.", imported, *lines, ""])
+
+    def name(self, kernel: Callable, kinds: tuple[str, ...] = ()) -> str:
         """Return the JavaScript name of a function, which is translated at its first use.
 
         Args:
             kernel: The function.
-            single: Whether each of its arguments is a number of 32 bits.
+            kinds: Kind of each argument.
         """
         if kernel in OWN:
             return OWN[kernel]
         function = inspect.unwrap(getattr(kernel, "py_func", kernel))
-        key = function, single if any(single) else ()
+        key = function, kinds if any(kinds) else ()
         if key not in self.names:
             taken = {*self.names.values(), *self.constants}
             name = _word(function.__name__)
             name = self.names[key] = name if name not in taken else f"{name}_{len(taken)}"
-            translated = _Function(self, function, name, single)
+            translated = _Function(self, function, name, kinds)
             self.functions.append(translated.text())
-            self.single[name] = translated.returned or False
+            self.kinds[name] = translated.returned or ""
         return self.names[key]
 
     def constant(self, name: str, value: Any) -> str:
         """Return the JavaScript name of a constant; raise ValueError if it is not plain data."""
         is_plain = type(value) in (int, float, bool, tuple) or isinstance(value, NUMPY)
         told = json.dumps(value, default=lambda array: array.tolist()) if is_plain else ""
-        if not told or LONG.search(told):
+        if type(value) is np.uint64:
+            told += "n"
+        elif not told or LONG.search(told):
             told = "numbers, with integers of up to 15 digits"
             raise ValueError(f"the constant {name} of a page must be {told}; got {shown(value)}")
         line = f"const {name} = {told};"
@@ -163,12 +113,12 @@ class Translation:
 class _Function:
     """Translation of one function; `of` and `_statement` have a case for each kind of syntax."""
 
-    def __init__(self, made: Translation, function: Any, name: str, single: tuple[bool, ...]):
+    def __init__(self, made: Translation, function: Any, name: str, kinds: tuple[str, ...]):
         self.made, self.function, self.name = made, function, name
         (self.tree,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
         self.arguments = [arg.arg for arg in self.tree.args.args]  # pyright: ignore
-        self.single: dict[str, Single] = dict(zip(self.arguments, single, strict=False))
-        self.returned: Single | None = None
+        self.kinds: dict[str, Kind] = dict(zip(self.arguments, kinds, strict=False))
+        self.returned: Kind | None = None
 
     def text(self) -> str:
         tree: Any = self.tree
@@ -194,31 +144,44 @@ class _Function:
                 yield f"{self.of(value)};"
             case ast.Return(value=value):
                 yield f"return {self.of(value) if value else ''};"
-                single = self._single(value)
-                if self.returned not in (None, single):
+                kind = self._kind(value)
+                if self.returned not in (None, kind):
                     raise self._unknown(node)
-                self.returned = single
+                self.returned = kind
             case ast.Break():
                 yield "break;"
             case ast.Continue():
                 yield "continue;"
+            case ast.Assign([ast.Tuple(targets)], ast.Tuple(values)) if _fills(targets, values):
+                for target, value in zip(targets, values, strict=True):
+                    yield from self._statement(ast.Assign([target], value))
+            case ast.Assign([ast.Tuple(targets) as names], ast.Attribute(_, "shape") as shape):
+                parts = (ast.Subscript(shape, ast.Constant(k)) for k in range(len(targets)))
+                yield from self._statement(ast.Assign([names], ast.Tuple([*parts])))
+            case ast.Raise(exc=ast.Call(args=[ast.Constant(str(text))])):
+                yield f"throw new Error({json.dumps(text)});"
             case ast.Assign([ast.Subscript(whole, ast.Slice(None, None, None))], value):
+                self._store(whole)
                 yield f"fill({self.of(whole)}, {self.of(value)});"
             case ast.Assign(targets=[target], value=value):
                 yield f"{self.of(target)} = {self._stored(target, value)};"
-                self._learn(target, self._single(value), node)
+                self._learn(target, self._kind(value), node)
             case ast.AugAssign(target=target, op=op, value=value) if not _calls(target):
                 whole = ast.BinOp(target, op, value)
                 yield f"{self.of(target)} = {self._stored(target, whole)};"
-                self._learn(target, self._single(whole), node)
+                self._learn(target, self._kind(whole), node)
             case ast.If(test=test, body=body, orelse=other):
                 yield f"if (yes({self.of(test)})) {{"
                 yield from [*self._block(body), "} else {", *self._block(other), "}"]
             case ast.While(test=test, body=body, orelse=[]):
                 yield f"while (yes({self.of(test)})) {{"
                 yield from [*self._block(body), "}"]
+            case ast.For(ast.Name(id=name), ast.Tuple() as several, body, []):
+                self._learn(ast.Name(name), self._part(several.elts[0]), node)
+                yield f"for ({_word(name)} of {self.of(several)}) {{"
+                yield from [*self._block(body), "}"]
             case ast.For(ast.Name(id=name), ast.Call(ast.Name("range"), args), body, []):
-                self._learn(ast.Name(name), False, node)
+                self._learn(ast.Name(name), "", node)
                 yield self._loop(_word(name), [self.of(arg) for arg in args])
                 yield from [*self._block(body), "}"]
             case _:
@@ -232,16 +195,21 @@ class _Function:
         return f"for ({begin}; {within}; {name}$ += {name}$by) {{ {name} = {name}$;"
 
     def _stored(self, target: Any, value: Any) -> str:
-        """Return a value as fields of a state hold it: of 32 bits, or a truth as a number."""
+        """Return a value as fields of a state hold it: of 32 bits, an integer, or a truth."""
         if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
             pairs = zip(target.elts, value.elts, strict=True)
             return f"[{', '.join(self._stored(*pair) for pair in pairs)}]"
-        field = self._field(target)
-        if field == np.float32 and not self._single(value):
+        self._store(target)
+        field, kind = self._field(target), self._kind(value)
+        if field == np.float32 and kind != SINGLE:
             return f"Math.fround({self.of(value)})"
-        kind = "" if field is None else field.kind
-        cast = {"i": "Math.trunc", "u": "Math.trunc", "b": "Boolean", "f": "Number"}.get(kind, "")
+        casts = {"i": "Math.trunc", "u": "Math.trunc", "b": "Boolean", "f": "Number"}
+        cast = "" if field is None else "Number" if kind == WIDE else casts.get(field.kind, "")
         return f"{cast}({self.of(value)})"
+
+    def _store(self, target: Any) -> None:
+        parts = (part for part in ast.walk(target) if isinstance(part, ast.Attribute))
+        self.made.stored.update(part.attr for part in parts)
 
     def _field(self, node: Any) -> np.dtype | None:
         """Return the type of a state's field, or of a part of it; None for anything else."""
@@ -249,45 +217,53 @@ class _Function:
             node = node.value
         return self.made.fields.get(node.attr) if isinstance(node, ast.Attribute) else None
 
-    def _learn(self, target: Any, single: Single, node: Any) -> None:
-        """Record whether variables have 32 bits; raise ValueError if one sometimes has."""
+    def _learn(self, target: Any, kind: Kind, node: Any) -> None:
+        """Record the kinds of variables; raise ValueError if one has several."""
         if isinstance(target, ast.Tuple):
-            parts = single or (False,) * len(target.elts)
-            for one, is_single in zip(target.elts, parts, strict=True):  # pyright: ignore
-                self._learn(one, is_single, node)
-        elif isinstance(target, ast.Name) and self.single.setdefault(target.id, single) != single:
+            parts = kind or ("",) * len(target.elts)
+            for one, part in zip(target.elts, parts, strict=True):
+                self._learn(one, part, node)
+        elif isinstance(target, ast.Name) and self.kinds.setdefault(target.id, kind) != kind:
             raise self._unknown(node)
 
-    def _single(self, node: Any) -> Single:
-        """Return whether an expression is a number of 32 bits, or which parts of a tuple are."""
+    def _kind(self, node: Any) -> Kind:
+        """Return the kind of an expression, or of each part of a tuple."""
         match node:
             case ast.Name(id=name) if name in self.local:
-                return self.single.setdefault(name, False)
+                return self.kinds.setdefault(name, "")
             case ast.Subscript(value=value):
-                return self._single(value) is True
+                return self._part(value)
             case ast.Tuple(elts=parts):
-                singles = tuple(self._single(part) is True for part in parts)
-                return any(singles) and singles
+                kinds = self._parts(parts)
+                return kinds if any(kinds) else ""
             case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=value):
-                return self._single(value)
-            case ast.BinOp(left=one, op=ast.Add() | ast.Sub() | ast.Mult() | ast.Div(), right=two):
-                return self._single(one) is self._single(two) is True
+                return self._kind(value)
+            case ast.BinOp(left=one, op=op, right=two):
+                kind = self._part(one)
+                known = {WIDE: WHOLE, SINGLE: (ast.Add, ast.Sub, ast.Mult, ast.Div)}.get(kind, ())
+                return kind if kind == self._part(two) and type(op) in known else ""
             case ast.IfExp(body=one, orelse=two):
-                return self._single(one) == self._single(two) and self._single(one)
+                return kind if (kind := self._kind(one)) == self._kind(two) else ""
             case ast.Call(func=function, args=args):
-                return self._single_call(self._value(function), args)
-        return self._field(node) == np.float32 or type(self._value(node)) is np.float32
+                return self._kind_of_call(self._value(function), args)
+        if self._field(node) == np.float32:
+            return SINGLE
+        return CASTS.get(type(self._value(node)), "")
 
-    def _single_call(self, function: Any, args: list[Any]) -> Single:
-        """Return whether a call gives a number of 32 bits: a kernel, a cast, or NumPy's of such."""
+    def _kind_of_call(self, function: Any, args: list[Any]) -> Kind:
+        """Return the kind of the result of a kernel, a cast, or a function of NumPy's."""
         if _is_kernel(function):
-            return self.made.single.get(self.made.name(function, self._singles(args)), False)
-        if function is np.float32 or function not in BUILT_IN or function in WIDE:
-            return function is np.float32
-        return all(self._singles(args))
+            return self.made.kinds.get(self.made.name(function, self._parts(args)), "")
+        if function in CASTS or function not in BUILT_IN:
+            return CASTS.get(function, "")
+        return SINGLE if {*self._parts(args)} == {SINGLE} else ""
 
-    def _singles(self, args: list[Any]) -> tuple[bool, ...]:
-        return tuple(self._single(arg) is True for arg in args)
+    def _part(self, node: Any) -> str:
+        kind = self._kind(node)
+        return kind if isinstance(kind, str) else ""
+
+    def _parts(self, nodes: list[Any]) -> tuple[str, ...]:
+        return tuple(map(self._part, nodes))
 
     def of(self, node: Any) -> str:
         """Return an expression."""
@@ -323,11 +299,15 @@ class _Function:
                 return f"or({self.of(value)}, () => {self.of(other)})"
             case ast.BoolOp(op=op, values=values):
                 return f"({f' {SIGNS[type(op)]} '.join(map(self.of, values))})"
+            case ast.BinOp(left=left, op=op, right=right) if self._kind(node) == WIDE:
+                return f"wide({self.of(left)} {WHOLE[type(op)]} {self.of(right)})"
+            case ast.BinOp(left=left, right=right) if WIDE in self._parts([left, right]):
+                raise self._unknown(node)
             case ast.BinOp(left=left, op=op, right=right) if type(op) in CALLS:
                 return f"{CALLS[type(op)]}({self.of(left)}, {self.of(right)})"
             case ast.BinOp(left=left, op=op, right=right) if type(op) in SIGNS:
                 rounded = "exact" if isinstance(op, ast.Mult) else ""
-                rounded = "Math.fround" if self._single(node) else rounded
+                rounded = "Math.fround" if self._kind(node) else rounded
                 return f"{rounded}({self.of(left)} {SIGNS[type(op)]} {self.of(right)})"
             case ast.Compare(ops=ops, comparators=several) if not any(map(_calls, several[:-1])):
                 sides = [self.of(side) for side in (node.left, *several)]
@@ -348,14 +328,19 @@ class _Function:
         whole = ast.unparse(function)
         if whole == "np.empty" and not isinstance(args[0], ast.Tuple):
             return f"Array({self.of(args[0])}).fill(0)"
+        if whole == "np.full" and isinstance(args[0], ast.Tuple) and len(args[0].elts) == 2:
+            height, width, value = map(self.of, (*args[0].elts, args[1]))
+            return f"Array.from({{ length: {height} }}, () => Array({width}).fill({value}))"
         if whole == "len":
             return f"{self.of(args[0])}.length"
         value, given = self._value(function), ", ".join(map(self.of, args))
         given = f"...[{given}].flat()" if value in (min, max) else given
         if _is_kernel(value):
-            return f"{self.made.name(value, self._singles(args))}({given})"
+            return f"{self.made.name(value, self._parts(args))}({given})"
+        if value in (int, np.int64) and WIDE in self._parts(args):
+            return f"exact(Number({given}))"
         text = f"{self.of(function)}({given})"
-        return f"Math.fround({text})" if value is np.sqrt and all(self._singles(args)) else text
+        return f"Math.fround({text})" if value is np.sqrt and self._part(args[0]) else text
 
     def _is_module(self, name: str) -> bool:
         return name not in self.local and inspect.ismodule(self.function.__globals__.get(name))
@@ -384,13 +369,23 @@ class _Function:
         )
 
 
+def _fills(targets: list[Any], values: list[Any]) -> bool:
+    """Return whether whole arrays are filled by turns, with values that are not theirs."""
+    parts = (part for value in values for part in ast.walk(value))
+    slices = (getattr(target, "slice", None) for target in targets)
+    return any(isinstance(one, ast.Slice) for one in slices) and not any(
+        isinstance(part, ast.Attribute) for part in parts
+    )
+
+
 def _calls(node: ast.AST) -> bool:
     """Return whether an expression calls anything, which is done once."""
     return any(isinstance(part, ast.Call) for part in ast.walk(node))
 
 
 def _is_kernel(value: Any) -> bool:
-    return inspect.isfunction(getattr(value, "py_func", value))
+    function = getattr(value, "py_func", value)
+    return inspect.isfunction(function) and not function.__module__.startswith("numpy")
 
 
 def _word(name: str) -> str:

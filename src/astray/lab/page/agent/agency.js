@@ -1,8 +1,9 @@
 // The goals that a walk is evidence for, if the walker is an agent: `astray.agency.online`, with the
 // settings called CALIBRATED there. Whether it is an agent at all needs Python.
 
-import { WALL, distances } from "../rules/common.js";
+import { WALL } from "../rules/common.js";
 import { goals } from "../rules/constants.js";
+import { distances } from "../rules/kernels.js";
 
 const { BETA } = goals;
 const SIDES = [[0, 1], [0, -1], [-1, 0], [1, 0]];

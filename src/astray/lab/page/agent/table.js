@@ -4,7 +4,7 @@
 // were computed beforehand, a byte for each probability. A level is known by what else images show,
 // its walls, its floor and its other object: one that was edited has no number.
 
-import { NEVER, WALL } from "../rules/common.js";
+import { NEVER, WALL, world } from "../rules/common.js";
 
 // file: fetches by path; about: {path, bytes}, of an index and of what it points into.
 export async function readTable(file, about) {
@@ -15,7 +15,7 @@ export async function readTable(file, about) {
   const levels = new Map(index.levels.map(({ walls, looks, other, ...level }) =>
     [key(walls, looks.background, looks.background_offset, other), level]));
   return (s) => {
-    const walls = s.cell.map((row) => [...row].map((what) => (what === WALL ? "#" : ".")).join(""));
+    const walls = world(s, s.cell).map((row) => row.map((what) => (what === WALL ? "#" : ".")).join(""));
     const other = s.other_x === NEVER ? "" : `${s.other_x},${s.other_y}`;
     const level = levels.get(key(walls.join("\n"), s.background, s.background_offset, other));
     if (!level) {

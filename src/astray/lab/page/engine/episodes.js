@@ -24,7 +24,7 @@ export function effects(rules, s, count) {
   return Array.from({ length: count }, (_, action) => {
     const after = rules.copy(s);
     advance(rules, after, action);
-    const changed = Object.entries(after).filter(([name, what]) => what !== s[name] && name !== "draws");
+    const changed = Object.entries(after).filter(([name, what]) => what !== s[name] && !name.startsWith("mt"));
     const key = JSON.stringify(changed);
     if (!seen.has(key)) seen.set(key, action);
     return seen.get(key);
@@ -42,8 +42,8 @@ export function told(episode, first, agent, rules) {
   };
 }
 
-// A state without what does not move; with rules, what they show of it besides.
+// The fields of a state that a page shows.
 export function snapshot(s, rules) {
-  const { cell, mover, thing, scene, draws, trail_x: trail, ...fields } = s;
-  return structuredClone({ ...fields, ...rules?.view?.(s) });
+  const shown = Object.fromEntries(rules.shown.map((name) => [name, s[name]]));
+  return structuredClone({ ...shown, ...rules.view?.(s) });
 }

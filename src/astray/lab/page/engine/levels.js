@@ -70,7 +70,7 @@ function endOf(grid) {
 }
 
 // A level for every place of a thing, as `Level.splay` has them.
-export function splayed({ level, s, rules }, thing, at, about) {
+export function splayed({ level, kind, rules }, thing, at, about) {
   const { grid, agent, looks } = level;
   const lifted = grid.map((row) => [...row]);
   const code = about.legend[about.objects[thing]];
@@ -80,7 +80,7 @@ export function splayed({ level, s, rules }, thing, at, about) {
     if (!where || grid[where[1]][where[0]] !== code) throw new Error(`which ${thing}?`);
     lifted[where[1]][where[0]] = 0;
   }
-  const state = rules.build({ grid: lifted, agent, looks: carried(looks, where) }, { ...s, ...knobsOf(s) });
+  const state = rules.build({ grid: lifted, agent, looks: carried(looks, where) }, kind);
   const here = agent.map(Math.floor);
   return rules.places(state).filter((cell) => String(cell) !== String(here) || thing === "agent")
     .filter(([x, y]) => lifted[y][x] === 0)
@@ -93,9 +93,3 @@ export function splayed({ level, s, rules }, thing, at, about) {
       return { cell, level: { grid: cells, agent: begin, looks: moved } };
     });
 }
-
-// Only places are wanted of the state, so that its looks may be any.
-const knobsOf = () => ({
-  goal_shape: "none", goal_colour: "none", other_shape: "dish", other_colour: "none",
-  inventory: "hidden", walls: "sand",
-});

@@ -65,7 +65,7 @@ export class LocalEngine {
     const { level, s, number, rules } = await this.world(message);
     yield {
       level, number, text: textOf(level, this.about.games[message.game].legend),
-      problem: rules.problem(level, s), state: snapshot(s, rules),
+      problem: rules.problem(s), state: snapshot(s, rules),
     };
   }
 
@@ -97,7 +97,7 @@ export class LocalEngine {
     const s = rules.build(given, kind);
     s.level = number ?? NEVER;
     const looks = { ...given.looks };
-    return { level: { game, grid: given.grid, agent: rules.centre?.(s) ?? [s.x, s.y], looks }, s, number, rules };
+    return { level: { game, grid: given.grid, agent: rules.centre(s), looks }, s, number, rules, kind };
   }
 
   async agentOf({ agent, game, mode = "sampled", seed = 0 }) {

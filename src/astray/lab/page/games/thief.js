@@ -1,8 +1,9 @@
 // Drawing of Heist, and of Keys and Chests: a thief, and things in the cells of a maze.
 
 import { eachCell, heading } from "./common.js";
-import { WALL, push } from "../rules/common.js";
+import { WALL } from "../rules/common.js";
 import { thief as body } from "../rules/constants.js";
+import { push } from "../rules/kernels.js";
 
 const FLOORS = "#e9e4dc";
 

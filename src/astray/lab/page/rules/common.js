@@ -1,38 +1,15 @@
-// Shared by the rules of all games: actions, cells, ways, and sentences about levels.
+// Shared by the rules of all games: states, cells, places, and sentences about levels.
 // All constants are Python's: `astray.lab.constants` writes the module that has them. So are the
-// step of each game and what an agent sees: `astray.lab.translate` writes rules/NAME-kernels.js.
+// step of each game and what an agent sees: `astray.lab.rules` writes rules/NAME-kernels.js.
 
 import { common } from "./constants.js";
+import { distances } from "./kernels.js";
 
 export const { NEVER, WALL } = common;
-const { MOVES } = common;
-
 const EMPTY = "."; // in every game's drawings
 
-// The push of an action, [x, y] from -1 to 1.
-export function push(action) {
-  return action < MOVES ? [Math.floor(action / 3) - 1, (action % 3) - 1] : [0, 0];
-}
-
-// Steps from every cell of `open` [y][x] to (x, y); -1 where there is no way.
-export function distances(open, x, y) {
-  const steps = open.map((row) => row.map(() => -1));
-  steps[y][x] = 0;
-  const queue = [[x, y]];
-  for (let k = 0; k < queue.length; k++) {
-    const [i, j] = queue[k];
-    for (const [u, v] of [[i + 1, j], [i - 1, j], [i, j + 1], [i, j - 1]]) {
-      if (open[v]?.[u] && steps[v][u] < 0) {
-        steps[v][u] = steps[j][i] + 1;
-        queue.push([u, v]);
-      }
-    }
-  }
-  return steps;
-}
-
 // Throws where no episode can begin in a level, in the words of Python's `Level`.
-export function checkAgent(grid, [x, y], { LEGEND, STOOD_ON }) {
+function checkAgent(grid, [x, y], { LEGEND, STOOD_ON }) {
   if (!(x >= 0 && y >= 0 && y < grid.length && x < grid[0].length)) {
     throw new Error(`the agent is at cell (${x}, ${y}), outside of the level`);
   }
@@ -42,20 +19,55 @@ export function checkAgent(grid, [x, y], { LEGEND, STOOD_ON }) {
   }
 }
 
-// The first object that the agent cannot get to, in a sentence; null where there is none.
-export function unreachable(grid, [x, y], objects, reached) {
-  for (const [name, code] of objects) {
-    for (let v = 0; v < grid.length; v++) {
-      for (let u = 0; u < grid[v].length; u++) {
-        if (grid[v][u] === code && !reached(u, v)) {
-          return `the ${name} at cell (${u}, ${v}) cannot be reached from (${x}, ${y})`;
-        }
+const zeros = ([count, ...rest]) =>
+  (count === undefined ? 0 : Array.from({ length: count }, () => zeros(rest)));
+const copied = (rows) => (Array.isArray(rows) ? rows.map(copied) : rows);
+const here = (s) => [Math.floor(s.x), Math.floor(s.y)];
+
+// The rules of a `game`, the object of its translated module, with the game's own
+//   build(s, p, {grid, cell, looks}): fills a state of zeros; p: knobs as numbers;
+//   contents(s): codes of the cells [y][x], as Python's `Editing.grid`;
+//   open(s): the cells [y][x] that the agent can be in; or reach(s): the steps to each cell;
+//   planes(s): its observation.
+export function rulesOf(game, { build, contents, open, planes, reach }) {
+  const steps = reach ?? ((s) => distances(open(s), ...here(s)));
+  const copy = (s) =>
+    ({ ...s, ...Object.fromEntries(game.moves.map((name) => [name, copied(s[name])])) });
+
+  return {
+    step: game.step, shown: game.shown, planes, copy,
+    build({ grid, agent, looks = {} }, variant) {
+      const cell = agent.map(Math.floor);
+      checkAgent(grid, cell, game);
+      const number = ([name, value]) => [name, game.choices[name]?.indexOf(value) ?? Number(value)];
+      const p = Object.fromEntries(Object.entries(variant).map(number));
+      const s = Object.fromEntries(Object.entries(game.fields).map(([name, shape]) => [name, zeros(shape)]));
+      s.time_limit = p.time_limit;
+      build(s, p, { grid, cell, looks });
+      return s;
+    },
+    // The first object that the agent cannot get to, in a sentence; null where there is none.
+    problem(s) {
+      const [cells, away, from] = [contents(s), steps(s), here(s).join(", ")];
+      for (const [name, code] of Object.entries(game.objects)) {
+        const cell = cellsOf(cells, code).find(([x, y]) => away[y][x] < 0);
+        if (cell) return `the ${name} at cell (${cell.join(", ")}) cannot be reached from (${from})`;
       }
-    }
-  }
-  return null;
+      return null;
+    },
+    places(s) {
+      const [away, at] = [steps(s), String(here(s))];
+      return cellsOf(contents(s).map((row, y) => row.map((what, x) =>
+        String([x, y]) === at || (what === 0 && away[y][x] >= 0))), true);
+    },
+    put: (s, [x, y]) => ({
+      ...copy(s), x: Math.fround(x + game.within[0]), y: Math.fround(y + game.within[1]), ...game.at_rest,
+    }),
+    centre: (s) => [s.x + game.offset, s.y + game.offset],
+  };
 }
 
+// The cells [x, y] of a grid that hold a code, row by row.
 export function cellsOf(grid, code) {
   const found = [];
   grid.forEach((row, y) => row.forEach((what, x) => what === code && found.push([x, y])));
@@ -86,6 +98,17 @@ export function observedMaze(kernels, s, count) {
   const side = s.window ? 2 * Math.floor(s.window / 2) + 1 : s.world;
   return observed(kernels, s, drawn(kernels, s, count, s.world + 2 * kernels.margin(s)), count, side);
 }
+
+// Lays a maze into a state's cells, walls around it; returns its cells [x, y] without a wall.
+export function lay(s, grid, codeOf = (what) => what) {
+  s.cell.forEach((row, y) => row.forEach((_, x) => { row[x] = codeOf(grid[y]?.[x] ?? WALL); }));
+  const free = cellsOf(grid.map((row) => row.map((what) => what !== WALL)), true);
+  const wide = (places) => Math.max(...places) - Math.min(...places) + 1;
+  s.maze_size = Math.max(wide(free.map(([x]) => x)), wide(free.map(([, y]) => y)));
+  return free;
+}
+
+export const world = (s, rows) => rows.slice(0, s.world).map((row) => row.slice(0, s.world));
 
 // One step of any game, as Gymnasium's environments count it.
 export function advance(rules, s, action) {
