@@ -20,7 +20,7 @@ import pytest
 from astray import games, provenance
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.runs import open_run
-from astray.experiments import catalogue, run
+from astray.experiments import catalogue, labs, outcomes, run
 from astray.experiments.outcomes import rate
 from astray.experiments.studies.coinrun import attribution
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
@@ -130,7 +130,7 @@ def test_every_experiment_runs_in_miniature(name, size, tmp_path, monkeypatch):
     kept = [*agents, *folder.rglob("computed/*.parquet")]
     written = {path: path.stat().st_mtime_ns for path in kept}
     page.unlink()
-    monkeypatch.setattr(report, "write", lambda *_: page.touch() or page)  # again, it takes long
+    write_nothing(monkeypatch, lambda *_: page.touch() or page)  # again, it takes long
     run.reproduce(name, size, tmp_path)  # nothing is trained or played again
     assert page.exists()
     assert written == {path: path.stat().st_mtime_ns for path in kept}
@@ -151,8 +151,14 @@ def reports(trained, tmp_path):
 
 @pytest.fixture
 def unwritten(monkeypatch):
-    """No page is written, which takes as long as all before it."""
-    monkeypatch.setattr(report, "write", lambda *_: None)
+    """No page, lab or video is written, which takes as long as all before it."""
+    write_nothing(monkeypatch)
+
+
+def write_nothing(monkeypatch, page=lambda *_: None):
+    monkeypatch.setattr(report, "write", page)
+    monkeypatch.setattr(labs, "write", lambda *_: {})
+    monkeypatch.setattr(outcomes, "write_pair", lambda *_, **__: None)
 
 
 def test_videos_are_of_outcomes_that_came_about(reports, monkeypatch):
