@@ -74,6 +74,10 @@ def test_the_figure_of_an_episode_has_its_marks():
     assert {n: drawn[n] for n in course.marks} == {
         n: 2 * course.table[n].sum() for n in course.marks
     }
+    hold = [n for n in course.marks if course.table[n].any()]
+    assert [tick.get_text() for tick in view.get_yticklabels()] == hold
+    rows = {line.get_label(): {*line.get_ydata()} for line in view.lines}
+    assert all(k in rows[n] for k, n in enumerate(hold))
     short = replace(
         course, table=course.table.head(2).with_columns(hazard=False), marks=("hazard",)
     )

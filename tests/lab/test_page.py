@@ -242,6 +242,30 @@ def test_a_way_is_told_while_probes_are_fitted(page):
     assert "directionup" in page.locator("[data-lab=readings]").text_content()
 
 
+def test_a_way_and_what_was_wrong_go_with_their_state(page):
+    show(page, 17)
+    page.evaluate("lab.askRoute()")
+    wait(page, "lab.way")
+    page.keyboard.press("n")
+    wait(page, "lab.now === 1 && !lab.way && lab.part('unroute').hidden")
+    page.evaluate("lab.panels.problem('the episode has ended')")
+    page.keyboard.press(",")
+    wait(page, "lab.now === 0 && lab.part('problem').hidden")
+
+
+def test_a_page_that_loads_for_long_says_so(page):
+    page.evaluate("""() => {
+      const { ask } = lab.engine;
+      lab.engine.ask = async (question, add) => {
+        if (question.kind === "level") await new Promise((later) => { setTimeout(later, 2500); });
+        return ask.call(lab.engine, question, add);
+      };
+      globalThis.opened = lab.open(18).then(() => { globalThis.opened = true; });
+    }""")
+    wait(page, "/^Loading. .*compiled/.test(lab.part('status').textContent)")
+    wait(page, "opened === true && lab.part('status').textContent === ''")
+
+
 def test_ways_are_offered_to_the_goals_of_the_level(page):
     def offered():
         return page.locator("[data-lab=goal] option").all_text_contents()

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.figures import charts
 from astray.figures.axes import call_places
-from astray.figures.grids import FADED, Picture, cells, images
+from astray.figures.grids import FADED, SIGNS, Picture, cells, images
 from astray.figures.style import INK, OTHERS, save
 
 VALUES = pl.DataFrame(
@@ -113,6 +113,14 @@ def test_labels_of_lines_that_lie_close_stand_side_by_side():
     call_places(shown, {"a": 50, "b": 50, "c": 51, "d": 80})
     at = {text.get_text(): text.xy[0] for text in shown.texts}
     assert at["d"] == 80 and at["c"] == 51 and at["c"] - at["a"] > 2 < at["a"] - at["b"]
+
+
+def test_a_part_of_a_value_has_the_colour_of_its_sign_and_is_clear_at_0():
+    """So that on a dark page a small part is dark, where a pale colour would be grey."""
+    assert FADED[127] == FADED[128] == 0 and FADED[0] == FADED[-1] == 1
+    for amount, hue in ((0.4, 0), (0.6, 2)):
+        red, _, blue = 255 * np.array(SIGNS(amount))[:3]
+        assert abs(red - blue) > 90 and (red, 0, blue)[hue] > 150
 
 
 @pytest.mark.parametrize("ground", [np.full((40, 80, 3), 90, np.uint8), None])

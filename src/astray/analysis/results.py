@@ -109,7 +109,7 @@ class Result:
                 return f"{agent} {words}, in {rate.short()} {where}."
         mine = {name: rate for (policy, name), rate in rates.items() if policy == agent}
         found = ", ".join(f"{name} {rate.short()}" for name, rate in mine.items())
-        return f"{agent} pursue{s} no goal in most levels: {found} {where}."
+        return f"It is not certain that {agent} pursue{s} a goal: {found} {where}."
 
     def _repr_html_(self) -> str:
         sentences = "".join(f"<p>{escape(line)}</p>" for line in self.verdict.splitlines())

@@ -68,8 +68,8 @@ def reproduce(
 
     Args:
         experiment: Name in the catalogue, or an `Experiment`: see `catalogue.find`.
-        root: Folder of the report, <name>-<size>, and of `agents`, which experiments share. On a
-            cluster all nodes must see it.
+        root: Folder of reports, the command's `--out`: this one is written to <name>-<size>, and
+            `agents` is shared by all. On a cluster all nodes must see it.
         workers: Number of agents trained at once here; None for one per processor.
         on: Place of the trainings; evaluation happens here.
         art: Art of all images; with original art the report's folder is <name>-<size>-<art>.

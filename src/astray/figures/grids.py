@@ -7,13 +7,15 @@ from typing import Any
 import matplotlib
 import numpy as np
 import polars as pl
-from matplotlib.colors import LinearSegmentedColormap, ListedColormap
+from matplotlib.colors import Colormap, LinearSegmentedColormap, ListedColormap
 from matplotlib.figure import Figure
 
 from astray.figures.axes import parts_of, ticks_of
 from astray.figures.style import EMPTY, INK, ON_COLOUR, OTHERS, STYLE, WIDTH
 
-FADED = np.sqrt(abs(np.linspace(-1, 1, 256)))  # opacity of colours that are clear in the middle
+# Colours of the sign and opacity of the size: 0 is clear, on light pages as on dark ones.
+SIGNS = matplotlib.colormaps["coolwarm_r"].resampled(2)
+FADED = np.sqrt(abs(np.arange(256) - 127.5) // 1 / 127)
 
 
 @matplotlib.rc_context(STYLE)
@@ -83,7 +85,7 @@ class Picture:
             image.
         heat: [h, w] values shown as colours, highest row first; NaN for no colour.
         limits: The values at the ends of the colours.
-        colours: Name of matplotlib's colour map.
+        colours: matplotlib's colour map, or its name.
         label: Label of the colour bar; empty for no bar.
         opacity: Opacity of the colours: a number, or [256] from the lowest colour to the highest.
         arrows: Cells [N, 2] and arrows [N, 2] from their middles, at most a cell long.
@@ -98,7 +100,7 @@ class Picture:
     image: np.ndarray | None = None
     heat: np.ndarray | None = None
     limits: tuple[float, float] = (0.0, 1.0)
-    colours: str = "viridis"
+    colours: str | Colormap = "viridis"
     label: str = ""
     opacity: Any = 0.62
     arrows: tuple[np.ndarray, np.ndarray] | None = None
@@ -144,7 +146,7 @@ def _show(figure: Figure, axes: Any, one: Picture) -> None:
         axes.imshow(one.image, extent=extent, cmap="gray", vmin=0, vmax=1, interpolation=smooth)
     if one.heat is not None:
         low, high = one.limits
-        shades = matplotlib.colormaps[one.colours](np.linspace(0, 1, 256))
+        shades = matplotlib.colormaps.get_cmap(one.colours)(np.linspace(0, 1, 256))
         shades[:, 3] = one.opacity
         named = {"cmap": ListedColormap(shades), "label": one.label or one.title}
         shaded = axes.imshow(one.heat, extent=extent, vmin=low, vmax=high, **named)

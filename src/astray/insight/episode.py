@@ -18,6 +18,7 @@ from astray.analysis.critic import policy_and_value
 from astray.analysis.evaluate import Measure, measured
 from astray.analysis.trained import Model, Opaque
 from astray.figures import charts
+from astray.figures.axes import name_rows
 from astray.game import Variant
 from astray.level import Level
 from astray.training import ppo
@@ -27,12 +28,7 @@ GAMMA, LAMBDA = 0.999, 0.95  # the paper's
 LIKELY = 0.02  # mean probability that an action has to be drawn by itself
 MOST_SHOWN = 5  # actions
 STILL = 8  # steps in one place, after which the rest of an episode in it is not drawn
-VALUE, ADVANTAGE, POLICY, TRUE = (
-    "value",
-    "advantage of the action taken",
-    "policy",
-    "labels that hold",
-)
+ADVANTAGE, POLICY, TRUE = "advantage of the action taken", "policy", "labels that hold"
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,12 +157,12 @@ def figure(course: Course) -> Figure:
     likely = {course.actions[k]: chances[k] for k in order if chances[k].mean() >= LIKELY}
     lines: dict[tuple[str, str], Any] = {}
     if not table["value"].is_nan().all():
-        lines = {(VALUE, VALUE): table["value"], (ADVANTAGE, ADVANTAGE): table["advantage"]}
+        lines = {("value", "value"): table["value"], (ADVANTAGE, ADVANTAGE): table["advantage"]}
     lines |= {(POLICY, name): chance for name, chance in likely.items()}
     lines[POLICY, "other actions"] = np.ones(len(table)) - sum(likely.values())
     parts = [_line(*names, table["step"], values) for names, values in lines.items()]
-    for k, name in enumerate(marks):  # one above the other, from each step to the next
-        seen = np.where(table[name], len(marks) - k, np.nan)  # broken where it is not so
+    for k, name in enumerate(marks):  # a row each, from each step to the next
+        seen = np.where(table[name], k, np.nan)  # broken where it is not so
         ends = np.stack([table["step"], table["step"] + 1], 1).ravel()
         parts.append(_line(TRUE, name, ends, seen.repeat(2)))
     happened = {
@@ -174,10 +170,13 @@ def figure(course: Course) -> Figure:
         for name, k in course.events.items()
         if k is not None and k <= len(table)
     }
-    return charts.curves(
+    drawn = charts.curves(
         pl.concat(parts), x="step", line="line", panel="panel", label="", x_label="step",
         at=happened, columns=1, sharey=False,
     )  # fmt: skip
+    if marks:
+        name_rows(drawn.axes[-1], marks)
+    return drawn
 
 
 def _line(panel: str, name: str, step: Any, values: Any) -> pl.DataFrame:

@@ -19,7 +19,7 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label, load_shift
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Model, Opaque, check_network
 from astray.envs.pictures import picture
-from astray.figures.grids import FADED, Picture, images
+from astray.figures.grids import FADED, SIGNS, Picture, images
 from astray.figures.style import save
 from astray.files import check_free, files_aside
 from astray.game import Game, Shift, Variant
@@ -268,7 +268,7 @@ def _attribution(asked: Asked) -> list[Section]:
     most = max(abs(flat).max(), np.finfo(float).tiny)
     figure = images([[
         Picture("what it is in", image),
-        Picture("integrated gradients", heat=flat, limits=(-most, most), colours="RdBu",
+        Picture("integrated gradients", heat=flat, limits=(-most, most), colours=SIGNS,
                 label="part of the value", opacity=FADED),
     ]], (3.5, 3.6))  # fmt: skip
     _, (value,) = policy_and_value(agent, shown)

@@ -12,6 +12,7 @@ import { Pictures } from "./draw/pictures.js";
 import { lookOf } from "./games/looks.js";
 
 const IDLE = 8; // steps in one place after which an agent that was handed over to is stopped
+const SOON = 1000; // milliseconds, after which a page that loads says so
 const PLAYED_AT_ONCE = 400; // steps that an agent is handed over for
 
 export class Lab {
@@ -38,7 +39,6 @@ export class Lab {
     this.game = start.game;
     this.variant = start.variant;
     this.panels.begin();
-    this.panels.status("connected");
     await this.open(start.level ?? 0, start.wrong);
     globalThis.addEventListener("hashchange", () => this.follow());
     this.part("main").inert = false; // before, nothing was shown that could be used
@@ -118,12 +118,21 @@ export class Lab {
   // Show a level: a number, a drawing, or an object as `Level.to_json` has it. `wrong`: what else
   // was asked for and cannot be shown.
   async open(level, wrong = "") {
+    const loading = "Loading. Code that is used for the first time is compiled: some 10 to 20 seconds.";
+    const late = setTimeout(() => this.panels.status(loading), SOON);
+    const opened = await this.#opened(level, wrong);
+    clearTimeout(late);
+    this.panels.status("connected");
+    return opened;
+  }
+
+  async #opened(level, wrong) {
     await this.#art();
     const question = { ...this.question("level"), level };
     const told = await this.tried(() => this.engine.ask(question));
     if (!told) { // with nothing shown yet, another level of the same, and what is wrong
       const said = this.part("problem").textContent;
-      return this.level || level === 0 ? false : this.open(0, `${wrong} ${said}`.trim());
+      return this.level || level === 0 ? false : this.#opened(0, `${wrong} ${said}`.trim());
     }
     this.#take({ ...told, problem: [wrong, told.problem].filter(Boolean).join(" ") });
     this.original = { level: told.level, number: told.number };
@@ -215,13 +224,9 @@ export class Lab {
   async #distinguishes() {
     const mine = (this.telling = Symbol("level"));
     this.panels.distinguishes(null);
-    if (!this.shift || this.rules.real_time || this.about.engine === "static") return;
+    if (!this.panels.shift || this.rules.real_time || this.about.engine === "static") return;
     const told = await this.engine.ask(this.question("distinguishes")).catch(() => null);
     if (told && this.telling === mine) this.panels.distinguishes(told.distinguishes);
-  }
-
-  get shift() {
-    return this.panels.shift;
   }
 
   // The arrows, in the state that is shown; and those of what is compared with.
@@ -298,9 +303,7 @@ export class Lab {
       episode.actions.splice(from, Infinity, ...part.actions);
       episode.rewards.splice(from, Infinity, ...part.rewards);
       Object.assign(episode, { ended: part.ended, terminated: part.terminated });
-      if (!steps) this.now = episode.actions.length;
-      this.panels.played();
-      this.stage.redraw();
+      this.show(steps ? this.now : episode.actions.length);
     };
     const done = await this.tried(() => this.#ask(question, add));
     if (done) await this.#pursue();
@@ -329,7 +332,7 @@ export class Lab {
     }
     this.#stop();
     const done = await this.play([...this.actions, action], 0);
-    if (done) await this.think();
+    if (done) await this.go(this.now);
   }
 
   async step() {
@@ -380,12 +383,15 @@ export class Lab {
   // Show the state after so many steps; `think` is asked for once it stays.
   show(step) {
     this.now = Math.min(Math.max(step, 0), this.episode.actions.length);
+    this.way = null; // it began in another state
+    this.panels.routed();
     this.panels.played();
     this.panels.pursued();
     this.stage.redraw();
   }
 
   async go(step) {
+    this.panels.problem(this.problem); // of another state
     this.show(step);
     await this.think();
   }

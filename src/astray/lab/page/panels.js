@@ -5,7 +5,7 @@ import { goalColours, heat, signed, words } from "./draw/colours.js";
 import { meanWay, rateOfWays } from "./draw/arrows.js";
 import { drawSight } from "./draw/sight.js";
 import { save } from "./files.js";
-import { bar, capital, fillTable, keyed, named, options, percent, round } from "./parts.js";
+import { bar, capital, fillTable, keyed, made, named, options, percent, round } from "./parts.js";
 import { levels } from "./rules/constants.js";
 import { showTimeline } from "./timeline.js";
 
@@ -154,8 +154,7 @@ export class Panels {
       .map((name) => [name, capital(named(lab, name))])];
     if (!tools.some(([name]) => name === lab.editor.tool)) lab.editor.tool = "hand";
     this.part("tools").replaceChildren(...tools.map(([name, text]) => {
-      const button = document.createElement("button");
-      button.textContent = text;
+      const button = made("button", { textContent: text });
       button.dataset.tool = name;
       button.setAttribute("aria-pressed", String(lab.editor.tool === name));
       button.addEventListener("click", () => {
@@ -170,8 +169,7 @@ export class Panels {
   #acts() {
     const { lab } = this;
     this.part("acts").replaceChildren(...lab.further.map((name, k) => {
-      const button = document.createElement("button");
-      [button.textContent, button.title] = [capital(name), `${name} (${k + 1})`];
+      const button = made("button", { textContent: capital(name), title: `${name} (${k + 1})` });
       button.addEventListener("click", () => lab.act(name));
       return button;
     }));
@@ -304,8 +302,7 @@ export class Panels {
     const box = this.part("legend");
     box.hidden = !layer;
     if (!layer) return;
-    const ramp = document.createElement("span");
-    ramp.className = "ramp";
+    const ramp = made("span", { className: "ramp" });
     const stops = Array.from({ length: 9 }, (_, k) => (layer.signed ? signed(k / 4 - 1) : heat(k / 8)));
     ramp.style.background = `linear-gradient(to right, ${stops.join(", ")})`;
     const told = (amount) => (layer.percent ? percent(amount) : amount.toFixed(2));
@@ -431,10 +428,9 @@ export class Panels {
     }
     const total = Object.values(counts).reduce((a, b) => a + b, 0);
     const colours = goalColours(this.shift);
-    const line = document.createElement("p");
-    line.className = "soft";
     const draws = total === places ? "" : `, ${total} episodes`;
-    line.textContent = `${places} of ${of} places${draws}. A mark shows where it goes first.`;
+    const told = `${places} of ${of} places${draws}. A mark shows where it goes first.`;
+    const line = made("p", { className: "soft", textContent: told });
     const order = [this.shift?.intended, ...(this.shift?.proxies ?? []), words.NEITHER].filter((g) => g in counts);
     part("counts").replaceChildren(line, ...order.map((goal) =>
       bar(goal === words.NEITHER ? `✕ ${goal}`

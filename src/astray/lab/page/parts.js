@@ -2,13 +2,13 @@
 
 export const percent = (rate) => `${Math.round(100 * rate)} %`;
 
+// An element with its properties.
+export const made = (kind, properties) => Object.assign(document.createElement(kind), properties);
+
 // Fill a choice with [value, text] pairs, and keep what is chosen where it is among them.
 export function options(select, pairs, chosen) {
-  select.replaceChildren(...pairs.map(([value, text, disabled = false]) => {
-    const option = document.createElement("option");
-    [option.value, option.textContent, option.disabled] = [value, text, disabled];
-    return option;
-  }));
+  select.replaceChildren(...pairs.map(([value, textContent, disabled = false]) =>
+    made("option", { value, textContent, disabled })));
   if (pairs.some(([value]) => value === chosen)) select.value = chosen;
 }
 
@@ -34,18 +34,14 @@ export function keyed(colour, text) {
 
 // A bar that is as long as a count is of a total.
 export function bar(name, count, total, colour) {
-  const row = document.createElement("div");
-  row.className = "bar";
-  const label = document.createElement("span");
-  const track = document.createElement("div");
-  const filled = document.createElement("div");
-  const told = document.createElement("span");
-  label.textContent = name;
-  track.className = "track";
+  const row = made("div", { className: "bar" });
+  const label = made("span", { textContent: name });
+  const track = made("div", { className: "track" });
+  const filled = made("div");
+  const told = made("span", { textContent: `${count} of ${total} (${percent(count / total)})` });
   filled.style.width = `${(100 * count) / total}%`;
   filled.style.background = colour;
   track.append(filled);
-  told.textContent = `${count} of ${total} (${percent(count / total)})`;
   row.append(label, track, told);
   return row;
 }
@@ -53,7 +49,7 @@ export function bar(name, count, total, colour) {
 export function fillTable(table, head, rows) {
   const line = (cells, kind) => {
     const row = document.createElement("tr");
-    row.append(...cells.map((text) => Object.assign(document.createElement(kind), { textContent: text })));
+    row.append(...cells.map((text) => made(kind, { textContent: text })));
     return row;
   };
   table.replaceChildren(line(head, "th"), ...rows.map((cells) => line(cells, "td")));

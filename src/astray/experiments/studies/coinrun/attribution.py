@@ -19,7 +19,7 @@ from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.figures import charts
-from astray.figures.grids import FADED, Picture, images
+from astray.figures.grids import FADED, SIGNS, Picture, images
 from astray.games.coinrun.edits import PARTS
 from astray.insight import attribution
 from astray.insight.probes import untrained
@@ -243,7 +243,7 @@ def pictures(example: dict[str, Any]) -> list[Picture]:
     for method in METHODS:
         map_ = np.array(example[method])
         pale = 1 - 0.35 * (1 - image)
-        found.append(Picture(method, pale, map_, (-1, 1), "RdBu", opacity=FADED))
+        found.append(Picture(method, pale, map_, (-1, 1), SIGNS, opacity=FADED))
     return found
 
 
