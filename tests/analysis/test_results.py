@@ -37,6 +37,7 @@ def result_of(*rates, random=0.3, levels=400, agents=1):
             0.3,
             "It is not certain that mouse pursues a goal",
         ),  # 0.49 is below one half
+        ((0.3, 0.3, 0.4), 0.3, "mouse pursues no goal in most levels"),
         ((0.1, 0.9, 0.0), 0.8, "It is not certain that mouse pursues a goal"),  # as random actions
     ],
 )

@@ -120,10 +120,8 @@ export class Lab {
   async open(level, wrong = "") {
     const loading = "Loading. Code that is used for the first time is compiled: some 10 to 20 seconds.";
     const late = setTimeout(() => this.panels.status(loading), SOON);
-    const opened = await this.#opened(level, wrong);
-    clearTimeout(late);
-    this.panels.status("connected");
-    return opened;
+    const done = () => { clearTimeout(late); this.panels.status("connected"); };
+    return this.#opened(level, wrong).finally(done);
   }
 
   async #opened(level, wrong) {
