@@ -1,4 +1,4 @@
-"""A training that torchrun starts: `torchrun --nproc-per-node 2 -m helpers.parallel folder`."""
+"""Trainings that torchrun starts: `torchrun --nproc-per-node 2 -m helpers.parallel FOLDER ...`."""
 
 import sys
 import weakref
@@ -28,7 +28,8 @@ CONFIG = PRESETS["small"].changed(
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    for _ in iterate(CONFIG, Path(sys.argv[1])):
-        group = weakref.ref(distributed.group.WORLD)
-    # A group that outlives the training has threads that may abort the process when it ends.
-    assert group() is None, "the group of processes is still there"
+    for folder in map(Path, sys.argv[1:]):
+        for _ in iterate(CONFIG, folder):
+            group = weakref.ref(distributed.group.WORLD)
+        # A group that outlives the training has threads that may abort the process when it ends.
+        assert group() is None, "the group of processes is still there"

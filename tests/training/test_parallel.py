@@ -14,9 +14,10 @@ from helpers.parallel import CONFIG
 from helpers.processes import environment
 
 
-def run(folder, processes):
+def run(*folders):
+    """Train by two processes in one folder after the other."""
     words = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node"]
-    words += [str(processes), "-m", "helpers.parallel", str(folder)]
+    words += ["2", "-m", "helpers.parallel", *map(str, folders)]
     done = subprocess.run(words, env=environment(), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
@@ -25,8 +26,15 @@ def run(folder, processes):
 def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     train(CONFIG, folder / "one", progress=False)
-    run(folder / "two", 2)
+    begun_by(folder / "one", folder / "one, then two")
+    run(folder / "two", folder / "one, then two")
     return folder / "one", folder / "two"
+
+
+def begun_by(run, folder):
+    """Copy a run without its last checkpoint."""
+    shutil.copytree(run, folder)
+    shutil.rmtree(checkpoint.latest(folder))
 
 
 def test_who_writes_is_known_before_they_are_joined(monkeypatch):
@@ -61,10 +69,9 @@ def test_they_tell_what_one_tells(runs):
 
 
 def test_what_two_began_one_can_end_and_the_reverse(runs, tmp_path):
-    for name, folder in zip(("one", "two"), runs, strict=True):
-        shutil.copytree(folder, tmp_path / name)
-        shutil.rmtree(checkpoint.latest(tmp_path / name))
-    run(tmp_path / "one", 2)
-    train(CONFIG, tmp_path / "two", progress=False)
-    compare(tmp_path / "one", tmp_path / "two")
-    compare(tmp_path / "one", runs[0])
+    one, two = runs
+    ended_by_two = one.with_name("one, then two")
+    begun_by(two, tmp_path / "two, then one")
+    train(CONFIG, tmp_path / "two, then one", progress=False)
+    compare(ended_by_two, tmp_path / "two, then one")
+    compare(ended_by_two, one)
