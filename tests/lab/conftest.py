@@ -9,7 +9,7 @@ import torch
 from astray.agents.policy import weights
 from astray.lab.export import export
 from astray.lab.serving import make_lab
-from helpers.browsed import folder_served, opened
+from helpers.browsed import folder_served, lab_served, opened
 
 
 @pytest.fixture(scope="session")
@@ -23,6 +23,12 @@ def exported(tmp_path_factory):
 @pytest.fixture(scope="session")
 def static(exported):
     with folder_served(exported) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def served():
+    with lab_served(make_lab("maze-corner", {})) as address:
         yield address
 
 

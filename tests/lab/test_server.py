@@ -24,13 +24,6 @@ from astray.lab import server, session
 from astray.lab.server import Bucket, Conversation, files
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
-from helpers.browsed import lab_served
-
-
-@pytest.fixture(scope="module")
-def served():
-    with lab_served(make_lab("maze-corner", {})) as address:
-        yield address
 
 
 def run(coroutine):
