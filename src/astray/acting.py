@@ -169,17 +169,17 @@ class Asking:
     """Actor that asks a policy, and stores the policy's memory of each episode."""
 
     def __init__(self, policy: Policy):
-        self.policy, self._memory = policy, None
+        self.policy, self.memory = policy, None
 
     def send(self, t: int, group: int, turn: Turn) -> None:
-        memory = self._memory if turn.kept is None else rows(self._memory, turn.kept)
+        memory = self.memory if turn.kept is None else rows(self.memory, turn.kept)
         self._turn = turn._replace(memory=memory)
 
     def receive(self, group: int) -> Answer:
         answer = self.policy.actions(self._turn)  # not before: nobody may ask for the last turn's
         of_kind("what a policy returns", answer, Answer)
         check_rows(answer.memory, len(self._turn.begins))
-        self._memory = answer.memory
+        self.memory = answer.memory
         return answer
 
 

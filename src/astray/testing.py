@@ -205,12 +205,8 @@ def check_solver(game: Game, variant: Variant) -> None:
         worth, soon = (game.solver.optimal_return(begun, goal, gamma) for gamma in (1.0, 0.9))
         if not worth:
             continue
-        walk, total, discounted, s = (
-            Walk(goal, observations(game)[-1]["observation"]),
-            0.0,
-            0.0,
-            begun,
-        )
+        walk, s = Walk(goal, observations(game)[-1]["observation"]), begun
+        total = discounted = 0.0
         longest = min(variant.time_limit, LASTING)  # a life without end ends with its goal
         until = [game.event(goal)]
         for step in steps(walk, game, variant, [level], until=until, longest=longest):

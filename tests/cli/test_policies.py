@@ -95,7 +95,7 @@ def test_the_lab_shows_a_policy_without_values():
     assert lab.start["agent"] == "walk to cheese"
     about = lab.agents.about("walk to cheese")
     assert about["layers"] == {} and about["shift"] == "corner-small"
-    assert "If it has a memory, it is asked as at the beginning" in about["caveat"]
+    assert "elsewhere it is asked as at the beginning" in about["caveat"]
     told = answers(lab, "fields")
     assert set(told["value"]) == {None} and max(map(max, told["policy"])) == 1
     played = answers(lab, "play", actions=[], steps=60)

@@ -8,6 +8,7 @@ import torch
 
 import astray
 from astray.analysis.critic import observe, policy_and_value, visit
+from astray.analysis.trained import Opaque
 from astray.insight import cell_probes
 from astray.insight.activations import activations, capture, layers
 from astray.insight.fields import fields, states_at
@@ -152,6 +153,19 @@ def test_an_agent_that_is_led_to_a_place_remembers_the_way(agent):
     assert np.allclose(led.policy[number[far]], logits.softmax(-1)[0], atol=1e-5)
     assert np.allclose(led.value[number[far]], value, atol=1e-5)
     assert abs(led.value - alone.value).max() > 1e-4
+
+
+def test_a_function_that_is_led_to_a_place_remembers_the_way():
+    def aging(seen, memory, begins):  # its action is the number of steps so far
+        age = np.where(begins, 0, 0 if memory is None else memory + 1)
+        return np.minimum(age, 14), age
+
+    policy = astray.Function(aging, observation="symbolic", remembers=True)
+    (led,) = fields(Opaque(policy, "maze"), SMALL, [5], led=True)
+    for cell, k in led.places.number.items():
+        assert led.policy[k].argmax() == min(max(len(led.places.way(cell)) - 1, 0), 14)
+    (alone,) = fields(Opaque(policy, "maze"), SMALL, [5])
+    assert (alone.policy[:, 0] == 1).all() and led.policy[:, 0].mean() < 0.5
 
 
 def test_the_cells_ahead_are_those_of_the_rest_of_the_episode(states):

@@ -344,6 +344,13 @@ def test_two_policies_are_compared_by_what_their_actions_do(chrome, request, way
         left = [0, 1, 2]  # names of one move; 5 and 3 are up and down
         assert "differ by 0 % on average" in page.evaluate(mixed, left)
         assert "differ by 0 % on average" not in page.evaluate(mixed, [5, 3]) and not told
+        forgets = """() => {
+          lab.about.agents["an elephant"] = { caveat: "It remembers." };
+          lab.part("compare").add(new Option("", "agent an elephant", false, true));
+          lab.panels.compared();
+          return lab.part("comparison").textContent;
+        }"""
+        assert "compared with. It remembers. Policies" in page.evaluate(forgets)
 
 
 def test_text_is_read_and_what_is_wrong_with_it_is_told(page):

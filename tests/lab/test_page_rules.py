@@ -9,6 +9,7 @@ import pytest
 
 from astray import games
 from astray.envs.vector import GameVectorEnv
+from astray.insight.actions import effects
 from astray.lab import rules, translate
 from astray.lab.worlds import snapshot
 from astray.level import Level
@@ -82,6 +83,48 @@ def compare(page, name, kind, episodes):
                 seen, rewards, _, _, _ = env.step(actions[t : t + 1])
                 reward = float(rewards[0])
         assert ended or len(told) == len(actions) + 1
+
+
+EFFECTS = """async ([game, level, variant, actions, count]) => {
+  const { rules } = await import(new URL(`rules/${game}.js`, location.href));
+  const { effects, played } = await import(new URL("engine/episodes.js", location.href));
+  const { states } = played({ s: rules.build(level, variant), rules }, actions);
+  return states.filter((s) => !s.ended).map((s) => effects(rules, s, count));
+}"""
+
+
+@pytest.mark.parametrize("name, kind", [*PLAYED[::5], PLAYED[6], *WORLDS[1:4:2]])
+def test_actions_that_do_the_same_are_those_of_python(page, exported, name, kind):
+    game, random = games.find(name), np.random.default_rng(5)
+    variant, count = game.variant(kind), len(game.actions)
+    (exported / rules.path(game)).write_text(rules.module(game))
+    env = GameVectorEnv(game, kind, 1, observation="symbolic", autoreset_mode="Disabled")
+    env.reset(seed=0, options={"level": 3})
+    level = Level.of(game, variant, env.get_state()[0])
+    env.reset(options={"state": level.state(solvable=False)})
+    states, actions = [env.get_state()], []
+    while len(actions) < 40 and not env.states["ended"][0]:
+        actions += [int(random.integers(count))] * 2
+        for action in actions[-2:]:
+            env.step(np.array([action]))
+            states.append(env.get_state())
+            if env.states["ended"][0]:
+                del actions[len(states) - 1 :], states[-1]
+                break
+    told = page.evaluate(EFFECTS, [name, level.to_json(), knobs(variant), actions, count])
+    assert told[: len(states)] == effects(game, variant, np.concatenate(states)).tolist()
+
+
+def test_an_action_after_which_chance_decides_otherwise_does_something_else(page):
+    told = page.evaluate(
+        """async () => {
+          const { effects } = await import(new URL("engine/episodes.js", location.href));
+          const step = (s, action) => { if (action) s.mt_next += 1; return [0, false]; };
+          const copy = (s) => ({ ...s });
+          return effects({ copy, step }, { time: 0, time_limit: 9, mt_next: 5 }, 3);
+        }"""
+    )
+    assert told == [0, 1, 1]
 
 
 REFUSED = {

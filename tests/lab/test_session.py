@@ -11,6 +11,9 @@ from safetensors.numpy import load_file
 from astray import games
 from astray.acting import initial_states
 from astray.agents.policy import Architecture
+from astray.analysis.adapters import Function
+from astray.analysis.critic import observe, policy_and_value
+from astray.analysis.policies import Walk
 from astray.analysis.replay import replay
 from astray.analysis.runs import load_agent, play_all
 from astray.insight.fields import fields
@@ -19,7 +22,7 @@ from astray.lab.agents import Agents
 from astray.lab.messages import LARGEST, read
 from astray.lab.serving import make_lab
 from astray.lab.session import ANSWERS, Lab, Session, about_game, drawings
-from astray.lab.worlds import read_world
+from astray.lab.worlds import play_on, read_world
 from astray.level import Level
 from astray.training import checkpoint
 from astray.training.ppo import RewardNormaliser
@@ -306,6 +309,52 @@ def test_an_agent_with_memory_goes_on_from_what_it_saw(untrained, tmp_path, netw
         stepped = ask(Session(session.lab), "play", **asked, actions=stepped, steps=1)["actions"]
     handed = ask(Session(session.lab), "play", **asked, actions=whole[:7], steps=17)["actions"]
     assert stepped == handed == whole
+    world = read_world(read(json.dumps({"id": 1, "kind": "level", **asked})))
+    states = play_on(None, world, whole[:9]).states
+    agent = session.lab.agents.open("mouse")[0]
+    seen = observe(agent, world.variant, np.concatenate(states))
+    (first, *others), _ = policy_and_value(agent, seen, episode=True)
+    told = ask(session, "fields", **asked, actions=whole[:9])
+    assert np.allclose(told["policy"][0], others[-1], atol=1e-6)  # the nearest place is its own
+    begun = ask(session, "fields", **asked)
+    known = dict(zip(map(str, begun["cells"]), begun["policy"], strict=True))
+    assert np.allclose(known[str(begun["cells"][0])], first, atol=1e-6)
+    assert not np.allclose(told["policy"][0], known[str(told["cells"][0])], atol=1e-3)
+
+
+def counting(seen, memory, begins):
+    """Goes up in the first step of an episode, right in the second, and stays in all others."""
+    assert memory is not None or begins.all()  # as every loop that plays has it
+    age = np.where(begins, 0, 0 if memory is None else memory + 1)
+    return np.array([5, 7, 4])[np.minimum(age, 2)], age
+
+
+def test_a_function_with_memory_remembers_where_it_stands_and_nowhere_else():
+    policy = Function(counting, "counting", observation="symbolic", remembers=True)
+    session = Session(make_lab(policy, {"game": "maze", "variant": "anywhere-small"}))
+    asked = MAZE | {"agent": "counting", "level": ROOM}
+    for actions, here, does in (([], [1, 1], 5), ([5], [1, 2], 7), ([7, 7], [3, 1], 4)):
+        told = ask(session, "fields", **asked, actions=actions)
+        found = dict(zip(map(tuple, told["cells"]), np.argmax(told["policy"], 1), strict=True))
+        assert found.pop(tuple(here)) == does and len(found) > 10 and {*found.values()} == {5}
+    assert ask(session, "play", **asked, actions=[5], steps=3)["actions"] == [5, 7, 4, 4]
+    assert "elsewhere it is asked as at" in session.lab.agents.about("counting")["caveat"]
+
+
+def test_walks_in_drawn_levels_are_not_mixed_up():
+    session = Session(make_lab(Walk("cheese"), {"game": "maze", "variant": "anywhere-small"}))
+    other = ROOM.replace("....G", ".....").replace("@....", "@...G")
+    asked = MAZE | {"agent": "walk to cheese"}
+    here = asked | {"level": other, "actions": [5]}
+    expected = ask(Session(session.lab), "fields", **here)
+    ask(session, "fields", **asked, level=ROOM)  # as where one level is compared with another
+    assert ask(session, "fields", **here) == expected
+
+
+def test_arrows_are_compared_at_the_end_of_an_episode_too(session):
+    actions = ask(session, "play", **MAZE, level=4, steps=300)["actions"]
+    told = ask(session, "fields", **MAZE, level=4, actions=actions, effects=True)
+    assert told["policy"] and "same" not in told
 
 
 def random_message(random, samples):

@@ -12,11 +12,12 @@ returns, as in the paper.
 import heapq
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import polars as pl
 
-from astray.acting import Levels, steps
+from astray.acting import Asking, Levels, steps
 from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.policies import episode_noise
 from astray.analysis.trained import Model, Opaque, check_network
@@ -177,7 +178,9 @@ def ask(
         ValueError: If the states are not those of the agent's game.
     """
     if isinstance(agent, Opaque):
-        return _each(agent, variant, states, 64, agent.chances), np.full(len(states), np.nan)
+        chances = partial(agent.chances, asking=Asking(agent) if episode else None)
+        policy = _each(agent, variant, states, 1 if episode else 64, chances)
+        return policy, np.full(len(states), np.nan)
     return policy_and_value(agent, observe(agent, variant, states), episode=episode)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box
 
-from astray.acting import Answer, Policy, Turn
+from astray.acting import Answer, Asking, Policy, Turn
 from astray.agents import policy
 from astray.agents.names import is_own
 from astray.agents.recurrent import Recurrent
@@ -36,10 +36,8 @@ IMAGE = 64 * 64  # numbers in an observation from which on it is passed on as an
 # Multiplications per forward pass below which a second thread costs more than it saves, up to five
 # times as much on busy processors.
 FEW = 200_000_000
-BY_ITSELF = (
-    "This agent has a memory: in a single state, it is asked as at the beginning of an episode; "
-    "along an episode, it remembers what it saw."
-)
+ALONE = "a memory: along an episode it remembers, elsewhere it is asked as at the beginning of one."
+BY_ITSELF = f"This agent has {ALONE}"
 
 
 def chosen(
@@ -351,7 +349,7 @@ class Opaque(_Asks):
     game: str
     mode: Literal["sampled", "greedy"] = "sampled"
     seed: int = 0
-    caveat: ClassVar[str] = ""
+    caveat: ClassVar[str] = f"It may have {ALONE}"
 
     @property
     def name(self) -> str:
@@ -363,19 +361,23 @@ class Opaque(_Asks):
             drawn = replace(drawn, seed=drawn.seed + self.seed)
         return drawn.actions(turn)
 
-    def chances(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+    def chances(
+        self, env: GameVectorEnv, observations: np.ndarray, asking: Asking | None = None
+    ) -> np.ndarray:
         """Return its policy [N, A]: 1 for the action that it takes, or uniform if it is random.
-
-        A policy with memory is asked as if each state began an episode.
 
         Args:
             env: Environments in the states [N].
             observations: [N, ...], observations of them.
+            asking: Actor of this policy that remembers the episodes; None if they begin.
         """
         count = len(env.game.actions)
         if isinstance(self.policy, Random):
             return np.full((len(observations), count), 1 / count)
-        return np.eye(count)[self.actions(Turn.of(env, observations)).actions]
+        asking = asking or Asking(self)
+        begins = np.full(len(observations), asking.memory is None)
+        asking.send(0, 0, Turn(env, observations, begins))
+        return np.eye(count)[asking.receive(0).actions]
 
 
 def looked_into(policy: Policy, game: Game) -> Agent | Network | Opaque:

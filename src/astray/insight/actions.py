@@ -39,7 +39,10 @@ def effects(game: str | Game, variant: str | Variant, states: np.ndarray) -> np.
     found = games.find(game)
     first = np.empty((len(states), len(found.actions)), np.int64)
     seen: list[dict[bytes, int]] = [{} for _ in states]
+    reals = [name for name in found.state.names or () if found.state[name].base.kind == "f"]
     for action, after in enumerate(_after(found, variant, states)):
+        for name in reals:
+            after[name] += 0  # -0 does what 0 does
         for k, s in enumerate(after):
             first[k, action] = seen[k].setdefault(sha256(s.tobytes()).digest(), action)
     return first

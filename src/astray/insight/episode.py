@@ -136,16 +136,8 @@ def _advantages(
     ends[-1] = terminated
     cut = torch.zeros_like(ends)
     cut[-1] = not terminated
-    found = ppo.advantages(
-        torch.from_numpy(rewards)[:, None],
-        torch.from_numpy(value[:-1])[:, None],
-        torch.from_numpy(value[1:])[:, None],
-        ends,
-        cut,
-        gamma,
-        lam,
-    )
-    return found[:, 0].numpy()
+    reward, now, after = (torch.from_numpy(x)[:, None] for x in (rewards, value[:-1], value[1:]))
+    return ppo.advantages(reward, now, after, ends, cut, gamma, lam)[:, 0].numpy()
 
 
 def figure(course: Course) -> Figure:
@@ -180,6 +172,5 @@ def figure(course: Course) -> Figure:
 
 
 def _line(panel: str, name: str, step: Any, values: Any) -> pl.DataFrame:
-    return pl.DataFrame({"step": step, "mean": np.asarray(values, float)}).with_columns(
-        panel=pl.lit(panel), line=pl.lit(name)
-    )
+    mean = np.asarray(values, float)
+    return pl.DataFrame({"step": step, "mean": mean, "panel": panel, "line": name})

@@ -20,7 +20,7 @@ import polars as pl
 
 from astray import games
 from astray.acting import Levels, initial_states
-from astray.analysis.critic import ask, observe, policy_and_value
+from astray.analysis.critic import ask
 from astray.analysis.trained import Model, Opaque
 from astray.game import Game, Variant
 from astray.insight.actions import effects, outcomes
@@ -313,9 +313,9 @@ def _led(
     agent: Model | Opaque, variant: Variant, places: Places, states: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the policy [K, A] and values [K] of an agent that was led to each of K places."""
-    number, seen = places.number, observe(agent, variant, states)
+    number = places.number
     ways = ([number[c] for c in places.way(cell)] or [k] for cell, k in number.items())
-    told = [policy_and_value(agent, seen[way], episode=True) for way in ways]  # pyright: ignore
+    told = [ask(agent, variant, states[way], episode=True) for way in ways]
     return np.array([policy[-1] for policy, _ in told]), np.array([value[-1] for _, value in told])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from astray import games
 from astray.analysis.critic import ask, visit
+from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run, shift_of
 from astray.analysis.trained import Agent, Network, Opaque, check_network
 from astray.game import Game, Variant
@@ -20,7 +21,7 @@ from astray.insight.activations import layers
 from astray.insight.episode import GAMMA, LAMBDA
 from astray.lab import steering
 from astray.lab.messages import Message
-from astray.lab.worlds import World
+from astray.lab.worlds import Episode, World
 from astray.training import folders
 from astray.training.config import Config
 from astray.training.folders import AgentFolder
@@ -29,7 +30,6 @@ from astray.validation import one_of
 AT_ONCE = 64  # places whose arrows are computed together, and sent
 FIRST_VISITED, VISITED, EACH = 900_000, 150, 4  # levels whose states probes are fitted in
 Shown = Agent | Network | Opaque
-ASKED_ALONE = "If it has a memory, it is asked as at the beginning of an episode."
 FAR = 16  # cells from the agent, of places in worlds that are larger than what is seen at once
 LARGE = 32  # cells a side of such a world
 
@@ -86,6 +86,8 @@ class Agents:
             raise ValueError(f"the agent {message.agent!r} plays {agent.game}, not {game.name}")
         agent = copy.copy(self._steered(agent, message, world) if message.steering else agent)
         agent.mode, agent.seed = message.mode, agent.seed + message.seed
+        if isinstance(agent, Opaque) and isinstance(agent.policy, Walk):
+            agent.policy = replace(agent.policy, _experts={})  # all drawn levels have one number
         return agent
 
     def _steered(self, agent: Shown, message: Message, world: World) -> Shown:
@@ -146,7 +148,7 @@ def _about(policy: Network | Opaque, tested: str | None) -> dict[str, Any]:
         "observation": policy.observation, "art": policy.art, "network": None,
         "knobs": {}, "steps": None, "gamma": GAMMA, "lam": LAMBDA, "seed": policy.seed,
         "reward_deviation": None,
-        "caveat": ASKED_ALONE if isinstance(policy, Opaque) else policy.caveat,
+        "caveat": policy.caveat,
         "layers": {} if isinstance(policy, Opaque) else _layers(policy),
     }  # fmt: skip
 
@@ -187,20 +189,23 @@ def places(game: Game, s: Any) -> np.ndarray:
     return found[np.argsort(abs(found - here).sum(1), kind="stable")]
 
 
-def arrows(
-    agent: Shown, world: World, s: Any, with_effects: bool = False
-) -> Iterator[dict[str, Any]]:
+def arrows(agent: Shown, episode: Episode, with_effects: bool = False) -> Iterator[dict[str, Any]]:
     """Yield policy [A] and value at all places in batches, nearest to the agent first.
 
-    With effects, `same` marks for each place the equivalent actions, as in `fields.effects`.
+    An agent that may have a memory remembers the episode in its present place, the first. With
+    effects, `same` marks for each place the equivalent actions, as in `fields.effects`.
     """
+    world, (s,) = episode.world, episode.state.view(np.recarray)
     cells = places(world.game, s)
     for first in range(0, len(cells), AT_ONCE):
         some = cells[first : first + AT_ONCE]
         states = world.game.places.put(np.repeat(np.array([s], world.game.state), len(some)), some)
         policy, value = ask(agent, world.variant, states)
+        if agent.caveat and not first:
+            along = ask(agent, world.variant, np.concatenate(episode.states), episode=True)
+            policy[0], value[0] = along[0][-1], along[1][-1]
         told = {"cells": some.tolist(), "policy": rounded(policy), "value": rounded(value)}
-        if with_effects:
+        if with_effects and not s.ended:  # else no action does anything
             told["same"] = effects(world.game, world.variant, states).tolist()
         yield told | {"of": len(cells)}
 

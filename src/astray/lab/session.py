@@ -12,7 +12,7 @@ import numpy as np
 
 from astray import games
 from astray.analysis.critic import ask, observe
-from astray.analysis.trained import check_network
+from astray.analysis.trained import Opaque, check_network
 from astray.envs.pictures import picture
 from astray.game import Game, knobs
 from astray.lab import agents, goals
@@ -158,8 +158,7 @@ def fields(session: Session, message: Message) -> Iterator[Reply]:
     """Answer with policy and value at all places, in the state after the actions."""
     episode = session.episode(message)
     agent = session.lab.agents.of_message(message, episode.world)
-    state = episode.state.view(np.recarray)[0]
-    yield from agents.arrows(agent, episode.world, state, message.effects)
+    yield from agents.arrows(agent, episode, message.effects)
 
 
 def play(session: Session, message: Message) -> Iterator[Reply]:
@@ -181,7 +180,7 @@ def play(session: Session, message: Message) -> Iterator[Reply]:
 
 
 def _told(episode: Episode, first: int, agent: Any) -> Reply:
-    """Return the states of an episode from the `first` on, with the agent's outputs."""
+    """Return the states of an episode from the `first` on, with the agent's values."""
     game, states = episode.world.game, episode.states[first:]
     told: Reply = {
         "first": first,
@@ -191,11 +190,13 @@ def _told(episode: Episode, first: int, agent: Any) -> Reply:
         "terminated": episode.terminated,
         "ended": episode.ended,
     }
-    if agent is not None:
+    if isinstance(agent, Opaque):
+        told["value"] = [None] * len(states)
+    elif agent is not None:
         # One with memory remembers what it saw before these states, too.
         asked = episode.states if agent.caveat else states
-        policy, value = ask(agent, episode.world.variant, np.concatenate(asked), episode=True)
-        told |= {"policy": rounded(policy[-len(states) :]), "value": rounded(value[-len(states) :])}
+        _, value = ask(agent, episode.world.variant, np.concatenate(asked), episode=True)
+        told["value"] = rounded(value[-len(states) :])
     return told
 
 

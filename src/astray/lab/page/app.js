@@ -149,7 +149,7 @@ export class Lab {
   #take({ level, number, text, problem, state }) {
     Object.assign(this, { level, number, text, problem });
     this.broken = false;
-    this.episode = { states: [state], actions: [], rewards: [], value: [], policy: [], ended: false };
+    this.episode = { states: [state], actions: [], rewards: [], value: [], ended: false };
     this.now = 0;
     this.splay.clear();
     this.panels.problem(problem);
@@ -294,9 +294,7 @@ export class Lab {
     const add = (part) => {
       const { episode } = this;
       episode.states.splice(part.first, Infinity, ...part.states);
-      for (const name of ["value", "policy"]) {
-        episode[name].splice(part.first, Infinity, ...(part[name] ?? []));
-      }
+      episode.value.splice(part.first, Infinity, ...(part.value ?? []));
       const from = Math.max(part.first - 1, 0);
       episode.actions.splice(from, Infinity, ...part.actions);
       episode.rewards.splice(from, Infinity, ...part.rewards);

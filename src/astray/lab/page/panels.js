@@ -325,7 +325,8 @@ export class Panels {
       return one[0] * two[0] + one[1] * two[1] < 0;
     }).length;
     const mean = varied.reduce((a, b) => a + b, 0) / varied.length;
-    line.textContent = `Red: what it is compared with. Policies differ by ${percent(mean)} on average ` +
+    const { caveat = "" } = lab.about.agents[part("compare").value.replace("agent ", "")] ?? {};
+    line.textContent = `Red: what it is compared with. ${caveat && `${caveat} `}Policies differ by ${percent(mean)} on average ` +
       `(total variation; actions that do the same are one), and point against each other at ${turned} of ${both.length} places.`;
   }
 

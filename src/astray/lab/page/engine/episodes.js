@@ -18,13 +18,13 @@ export function take(episode, rules, action) {
   Object.assign(episode, { terminated, ended: s.ended });
 }
 
-// For each action the first one with the same next state.
+// For each action the first one with the same next state, number of draws included.
 export function effects(rules, s, count) {
   const seen = new Map();
   return Array.from({ length: count }, (_, action) => {
     const after = rules.copy(s);
     advance(rules, after, action);
-    const changed = Object.entries(after).filter(([name, what]) => what !== s[name] && !name.startsWith("mt"));
+    const changed = Object.entries(after).filter(([name, what]) => what !== s[name] && name !== "mt");
     const key = JSON.stringify(changed);
     if (!seen.has(key)) seen.set(key, action);
     return seen.get(key);
@@ -33,12 +33,11 @@ export function effects(rules, s, count) {
 
 export function told(episode, first, agent, rules) {
   const states = episode.states.slice(first);
-  const answers = agent ? states.map((s) => agent.policyAndValue(s, rules)) : [];
   return {
     first, states: states.map((s) => snapshot(s, rules)), actions: episode.actions.slice(Math.max(first - 1, 0)),
     rewards: episode.rewards.slice(Math.max(first - 1, 0)), terminated: episode.terminated,
     ended: episode.ended,
-    ...(agent && { policy: answers.map((j) => j.policy), value: answers.map((j) => j.value) }),
+    ...(agent && { value: states.map((s) => agent.policyAndValue(s, rules).value) }),
   };
 }
 
