@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import astray
-from astray.acting import Answer
+from astray.acting import Answer, initial_states
 from astray.agents.policy import Architecture
 from astray.cli.distil import distil
 from astray.training import checkpoint, ppo, teacher
@@ -162,10 +162,35 @@ def test_the_solver_says_the_way_to_the_intended_goal():
             player.step(t, 0, Answer(right))
 
 
+@pytest.mark.parametrize("sampler", ["uniform", "growing"])
+def test_every_lesson_of_the_solver_begins_anywhere_in_new_levels(sampler):
+    with contextlib.closing(Trainer(SOLVED.changed(sampler=sampler))) as trainer:
+        player, begun = trainer.player, []
+        for _ in range(2):
+            collect(trainer)
+            assert trainer.teacher
+            trainer.teacher.begin(trainer.steps)
+            begun.append(player.envs[0].get_state().view(np.recarray))
+            assert player.begins.all() and (begun[-1].time == 0).all()
+            shown = player.envs[0].set_state(begun[-1])
+            assert np.array_equal(player.images.numpy(), shown)
+            trainer.steps += trainer.config.batch
+    first = initial_states("maze", trainer.config.training_variant(), begun[1].level)
+    places = player.game.places
+    moved = 0
+    for now, then in zip(begun[1], first.view(np.recarray), strict=True):
+        assert places.stand(then)[int(now.y), int(now.x)]
+        moved += (now.x, now.y) != (then.x, then.y)
+    assert moved > len(first) / 2
+    assert (begun[0].level != begun[1].level).mean() > 0.9
+
+
 @pytest.mark.parametrize("taught", ["solver", "tiny"])
 def test_who_will_be_alone_learns_values_from_its_own_rewards(taught, student):
     alone = replace(SOLVED, teacher=None)
     with contextlib.closing(Trainer(alone)) as trainer:
+        if taught == "solver":
+            trainer.player.scatter(np.random.default_rng([alone.seed, teacher.SALT, 0]))
         expected = collect(trainer)
     config = replace(alone, teacher=taught, taught=0.5)
     with contextlib.closing(Trainer(config, teacher=student / TEACHER)) as trainer:

@@ -135,7 +135,8 @@ class Config:
         if self.teacher is None and self.taught != 1:
             raise ValueError(f"taught must be 1 without a teacher; got {self.taught}")
         if self.teacher == SOLVER:
-            self.find_game().solver.expert  # noqa: B018  # says that there is none
+            game = self.find_game()
+            _ = game.solver.expert, game.places.put  # which say that there is none
             self.intended_goal()
         if self.teacher is not None and self.sampler.kind in SCORING:
             raise ValueError(

@@ -259,6 +259,8 @@ def collect(trainer: Trainer) -> Samples:
     """
     config, player, rollout = trainer.config, trainer.player, trainer.actor.rollout
     teacher = trainer.teacher if trainer.is_taught else None
+    if teacher:
+        teacher.begin(trainer.steps)
     cut: list[tuple[Any, ...]] = []  # indices of episodes cut off, what they show, and the memory
     rollout.begin(config.num_steps)
     for step in acting.play(teacher or trainer.actor, player, config.num_steps):

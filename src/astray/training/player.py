@@ -13,6 +13,7 @@ from astray.envs import restarting
 from astray.envs.restarting import Restarting
 from astray.envs.steps import Reward, paid
 from astray.game import Variant
+from astray.record import trusted
 from astray.training import parallel, ppo
 from astray.training.config import Config
 from astray.training.environments import environments, whole_step
@@ -148,12 +149,34 @@ class Player:
         for env in self.envs:
             env.repeat(None)
         if plan.restart or plan.repeat:
-            for group, where in enumerate(self.groups):
-                self._begin(self.sampler, group, np.ones(where.stop - where.start, bool))
-                if plan.repeat:
-                    self.envs[group].repeat(self.envs[group].get_state())
-            self.running_return[:] = 0.0
-            self.normaliser.returns[:] = 0.0
+            self._restart()
+        if plan.repeat:
+            for env in self.envs:
+                env.repeat(env.get_state())
+
+    def scatter(self, random: np.random.Generator) -> None:
+        """Begin new levels, with agents anywhere that they can stand."""
+        self._restart()
+        for env, where in zip(self.envs, self.groups, strict=True):
+            states = env.get_state()
+            free = [np.argwhere(self.game.places.stand(s)) for s in trusted(states)]
+            cells = np.array([random.choice(some)[::-1] for some in free])  # x, y
+            self.images[where] = torch.from_numpy(
+                env.set_state(self.game.places.put(states, cells))
+            )
+
+    def _restart(self) -> None:
+        """Begin new levels in all environments."""
+        for group, where in enumerate(self.groups):
+            every = np.ones(where.stop - where.start, bool)
+            if self.sampler is None:
+                images, _ = self.envs[group].reset(options={"reset_mask": every})
+                self.images[where] = torch.from_numpy(images)
+            else:
+                self._begin(self.sampler, group, every)
+        self.begins[:] = True
+        self.running_return[:] = 0.0
+        self.normaliser.returns[:] = 0.0
 
     def _begin(self, sampler: Sampler, group: int, which: np.ndarray) -> None:
         """Begin the sampler's levels in the environments `which` [n] of a group."""

@@ -30,6 +30,7 @@ from astray.training.player import Rollout
 from astray.training.ppo import Samples, Sequences
 
 TEACHER = "teacher.safetensors"  # in the run folder of a student
+SALT = 0x5CA77E4  # salt of random places
 SURE = 0.9  # the chance that a solver gives its action; all others share what is left
 
 
@@ -77,6 +78,9 @@ class Lessons:
         self.config, self.student, self.rollout = config, student, rollout
         shape = config.num_steps, len(rollout.player.images), rollout.player.actions
         self._wanted = torch.empty(shape, device=config.device)
+
+    def begin(self, steps: int) -> None:
+        """Prepare the student for a rollout after `steps` environment steps of training."""
 
     def send(self, t: int, group: int, turn: Turn) -> None:
         if t < len(self._wanted):
@@ -154,12 +158,19 @@ class Teacher(Lessons):
 
 
 class Solver(Lessons):
-    """Lessons of the game's exact solver, which takes the shortest way to the intended goal."""
+    """Lessons of the game's exact solver, which takes the shortest way to the intended goal.
+
+    Each rollout begins new levels, with the student anywhere in them. A student that goes on in a
+    level whose way it has just been taught learns that level by heart.
+    """
 
     def __init__(self, config: Config, student: Actor, rollout: Rollout):
         super().__init__(config, student, rollout)
         self.goal = config.intended_goal()
         self.experts: list[Callable[[Any], int] | None] = [None] * len(rollout.player.images)
+
+    def begin(self, steps: int) -> None:
+        self.rollout.player.scatter(np.random.default_rng([self.config.seed, SALT, steps]))
 
     def says(self, t: int, begins: np.ndarray) -> Tensor:
         player = self.rollout.player
