@@ -163,8 +163,9 @@ def test_the_solver_says_the_way_to_the_intended_goal():
 
 
 @pytest.mark.parametrize("sampler", ["uniform", "growing"])
-def test_every_lesson_of_the_solver_begins_anywhere_in_new_levels(sampler):
-    with contextlib.closing(Trainer(SOLVED.changed(sampler=sampler))) as trainer:
+def test_lessons_anywhere_begin_new_levels_in_every_rollout(sampler):
+    config = SOLVED.changed(sampler=sampler, lessons="anywhere")
+    with contextlib.closing(Trainer(config)) as trainer:
         player, begun = trainer.player, []
         for _ in range(2):
             collect(trainer)
@@ -189,8 +190,6 @@ def test_every_lesson_of_the_solver_begins_anywhere_in_new_levels(sampler):
 def test_who_will_be_alone_learns_values_from_its_own_rewards(taught, student):
     alone = replace(SOLVED, teacher=None)
     with contextlib.closing(Trainer(alone)) as trainer:
-        if taught == "solver":
-            trainer.player.scatter(np.random.default_rng([alone.seed, teacher.SALT, 0]))
         expected = collect(trainer)
     config = replace(alone, teacher=taught, taught=0.5)
     with contextlib.closing(Trainer(config, teacher=student / TEACHER)) as trainer:
@@ -226,8 +225,11 @@ def test_what_follows_the_lessons_is_ppo_to_the_last_digit():
         assert trainer.player.normaliser.count > 1000
 
 
-def test_a_resumed_student_of_the_solver_is_the_one_that_was_not_stopped(tmp_path, monkeypatch):
-    config = replace(SOLVED, steps=2048, taught=0.5, checkpoint_every=3)
+@pytest.mark.parametrize("lessons", ["episodes", "anywhere"])
+def test_a_resumed_student_of_the_solver_is_the_one_that_was_not_stopped(
+    lessons, tmp_path, monkeypatch
+):
+    config = replace(SOLVED, steps=2048, taught=0.5, lessons=lessons, checkpoint_every=3)
     train(config, tmp_path / "whole", progress=False)
     train_to_first_checkpoint(config, tmp_path / "parts", monkeypatch)
     train(config, tmp_path / "parts", progress=False)
@@ -237,7 +239,8 @@ def test_a_resumed_student_of_the_solver_is_the_one_that_was_not_stopped(tmp_pat
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"taught": 0.5, "teacher": None}, "taught must be 1 without a teacher; got 0.5"),
+        ({"taught": 0.5, "teacher": None}, "taught must be 1.0 without a teacher; got 0.5"),
+        ({"lessons": "anywhere", "teacher": None}, "lessons must be episodes without a teacher"),
         ({"taught": 2.0}, "taught must be from 0 to 1; got 2.0"),
         ({"variant": "region-4", "validation": None}, "a variant of a shift, which names the goal"),
     ],

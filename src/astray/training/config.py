@@ -106,6 +106,9 @@ class Config:
     teacher: Annotated[str | None, otherwise("none")] = None
     # Fraction of the steps that learn from the teacher; later steps learn from rewards.
     taught: float = 1.0
+    # Levels of lessons: whole episodes, or new ones in every rollout, begun anywhere in them. A
+    # student that stays where it has just been taught the way learns these levels by heart.
+    lessons: Literal["episodes", "anywhere"] = "episodes"
 
     validation_every: int = 10  # Number of iterations between validations.
     checkpoint_every: int = 50  # Number of iterations between checkpoints.
@@ -132,11 +135,14 @@ class Config:
                 f"got {self.first_level} to {self.training_levels.stop - 1}"
             )
         check_network(self.network)
-        if self.teacher is None and self.taught != 1:
-            raise ValueError(f"taught must be 1 without a teacher; got {self.taught}")
+        for name in ("taught", "lessons"):
+            usual, given = getattr(Config, name), getattr(self, name)
+            if self.teacher is None and given != usual:
+                raise ValueError(f"{name} must be {usual} without a teacher; got {given}")
+        if self.lessons == "anywhere":
+            self.find_game().places.put  # noqa: B018  # says that there is none
         if self.teacher == SOLVER:
-            game = self.find_game()
-            _ = game.solver.expert, game.places.put  # which say that there is none
+            self.find_game().solver.expert  # noqa: B018  # says that there is none
             self.intended_goal()
         if self.teacher is not None and self.sampler.kind in SCORING:
             raise ValueError(

@@ -81,6 +81,8 @@ class Lessons:
 
     def begin(self, steps: int) -> None:
         """Prepare the student for a rollout after `steps` environment steps of training."""
+        if self.config.lessons == "anywhere":
+            self.rollout.player.scatter(np.random.default_rng([self.config.seed, SALT, steps]))
 
     def send(self, t: int, group: int, turn: Turn) -> None:
         if t < len(self._wanted):
@@ -158,19 +160,12 @@ class Teacher(Lessons):
 
 
 class Solver(Lessons):
-    """Lessons of the game's exact solver, which takes the shortest way to the intended goal.
-
-    Each rollout begins new levels, with the student anywhere in them. A student that goes on in a
-    level whose way it has just been taught learns that level by heart.
-    """
+    """Lessons of the game's exact solver, which takes the shortest way to the intended goal."""
 
     def __init__(self, config: Config, student: Actor, rollout: Rollout):
         super().__init__(config, student, rollout)
         self.goal = config.intended_goal()
         self.experts: list[Callable[[Any], int] | None] = [None] * len(rollout.player.images)
-
-    def begin(self, steps: int) -> None:
-        self.rollout.player.scatter(np.random.default_rng([self.config.seed, SALT, steps]))
 
     def says(self, t: int, begins: np.ndarray) -> Tensor:
         player = self.rollout.player
