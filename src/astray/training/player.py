@@ -155,7 +155,7 @@ class Player:
                 env.repeat(env.get_state())
 
     def scatter(self, random: np.random.Generator) -> None:
-        """Begin new levels, with agents anywhere that they can stand."""
+        """Begin new levels, with agents anywhere; raise ValueError if a sampler's are invalid."""
         self._restart()
         for env, where in zip(self.envs, self.groups, strict=True):
             states = env.get_state()
