@@ -2,6 +2,7 @@
 
 from collections import namedtuple
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ import torch
 
 from astray import games
 from astray.acting import Answer, Asking, Onward, Turn, initial_states, play, steps
+from astray.analysis.critic import ask
 from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random, Walk
+from astray.analysis.trained import Opaque
 from astray.envs.vector import GameVectorEnv
 
 GAME, VARIANT = "maze", "anywhere-small"
@@ -192,3 +195,21 @@ def test_initial_states_are_those_that_episodes_begin_in():
     env.reset(seed=0, options={"level": np.array(chosen)})
     tell = games.find(GAME).editing.describe
     assert [tell(s) for s in begun[chosen]] == [tell(s) for s in env.states]
+
+
+@pytest.mark.parametrize("wrong", [-1, 99, 7.0, True, [7], None, 2**63])
+def test_what_is_no_action_is_refused_also_where_nothing_is_played(wrong):
+    """-1 was shown as the last action in the lab, and 99 was a mistake of numpy's."""
+    game = games.find("maze")
+    states = np.array(list(initial_states(game, "corner-small", range(3))), game.state)
+    policy = SimpleNamespace(
+        name="odd", observation="symbolic", art="own",
+        actions=lambda turn: Answer(np.array([wrong] * len(turn.begins))),
+    )  # fmt: skip
+    told = r"odd must (return integers \[3\]|be from 0 to 14)"
+    for asked in (
+        lambda: ask(Opaque(policy, "maze"), "corner-small", states),
+        lambda: evaluate(policy, "maze", "corner-small", range(3)),
+    ):
+        with pytest.raises(ValueError, match=told):
+            asked()

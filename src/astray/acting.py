@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from gymnasium.spaces import Discrete
 
 from astray import world
 from astray.envs.beginnings import Levels as Levels
@@ -180,7 +181,26 @@ class Asking:
         of_kind("what a policy returns", answer, Answer)
         check_rows(answer.memory, len(self._turn.begins))
         self.memory = answer.memory
-        return answer
+        actions = checked_actions(self.policy.name, answer.actions, self._turn)
+        return answer._replace(actions=actions)
+
+
+def checked_actions(name: str, chosen: Any, turn: Turn) -> np.ndarray:
+    """Return a policy's actions [N]; raise ValueError if they are invalid."""
+    chosen, n, space = np.asarray(chosen), len(turn.begins), turn.env.single_action_space
+    if isinstance(turn.env, WorldVectorEnv) or not isinstance(space, Discrete):
+        return chosen  # a world checks its own actions
+    low, high = int(space.start), int(space.start + space.n) - 1
+    if chosen.shape != (n,) or not np.issubdtype(chosen.dtype, np.integer):
+        raise ValueError(
+            f"{name} must return integers [{n}], an action for each observation; got "
+            f"{chosen.dtype} of shape {chosen.shape}"
+        )
+    if n and (chosen.min() < low or chosen.max() > high):
+        raise ValueError(
+            f"actions of {name} must be from {low} to {high}; got {chosen.min()} to {chosen.max()}"
+        )
+    return chosen.astype(np.int64)
 
 
 def _taken(turn: Turn, answer: Answer, level: np.ndarray) -> Step:

@@ -9,12 +9,11 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box, Discrete
 
-from astray.acting import Answer, Turn
+from astray.acting import Answer, Turn, checked_actions
 from astray.agents import policy as trained
 from astray.agents.recurrent import Recurrent
 from astray.analysis.trained import AT_ONCE, Network, chosen, recalled
 from astray.envs.vector import Observation
-from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN
 from astray.imports import guarded
 from astray.training.trainer import Trainer
@@ -72,29 +71,10 @@ class Function:
         with guarded(self.name, ValueError, ImportError):  # which say what is wrong
             answer = self.choose(turn.observations, *told)
         if not self.remembers:
-            return Answer(_actions(self.name, answer, turn))
+            return Answer(checked_actions(self.name, answer, turn))
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise ValueError(f"{self.name} must return actions and its memory; got {shown(answer)}")
-        return Answer(_actions(self.name, answer[0], turn), answer[1])
-
-
-def _actions(name: str, chosen: Any, turn: Turn) -> np.ndarray:
-    """Return a policy's actions [N]; raise ValueError if they are invalid."""
-    chosen, n, space = np.asarray(chosen), turn.env.num_envs, turn.env.single_action_space
-    if isinstance(turn.env, WorldVectorEnv) or not isinstance(space, Discrete):
-        return chosen  # a world checks its own actions
-    first, count = int(space.start), int(space.n)
-    if chosen.shape != (n,) or not np.issubdtype(chosen.dtype, np.integer):
-        raise ValueError(
-            f"{name} must return integers [{n}], an action for each observation; got "
-            f"{chosen.dtype} of shape {chosen.shape}"
-        )
-    if chosen.min() < first or chosen.max() >= first + count:
-        raise ValueError(
-            f"actions of {name} must be from {first} to {first + count - 1}; got {chosen.min()} to "
-            f"{chosen.max()}"
-        )
-    return chosen.astype(np.int64)
+        return Answer(checked_actions(self.name, answer[0], turn), answer[1])
 
 
 def from_sb3(
