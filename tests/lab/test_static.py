@@ -156,6 +156,14 @@ def test_the_thief_and_the_runner_play_as_in_python(page):
         assert here["actions"] == there["actions"]
 
 
+def test_at_the_end_of_an_episode_nothing_says_which_actions_do_the_same(page):
+    asked = {"game": "maze", "variant": "corner-small", "agent": "maze-corner", "level": 4}
+    played, _ = both(page, **asked, kind="play", steps=300)
+    for actions, compared in ((played["actions"][:-1], True), (played["actions"], False)):
+        for told in both(page, **asked, kind="fields", actions=actions, effects=True):
+            assert told["policy"] and ("same" in told) == compared
+
+
 def test_a_splay_is_that_of_python(page):
     here, there = both(page, kind="splay", **MAZE, level=3, thing="goal", draws=2)
     assert dict(zip(map(tuple, here["cells"]), here["outcomes"], strict=True)) == dict(

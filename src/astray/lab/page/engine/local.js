@@ -130,7 +130,7 @@ export class LocalEngine {
       yield {
         cells: some, policy: answers.map((one) => one.policy), value: answers.map((one) => one.value),
         of: cells.length,
-        ...(message.effects && { same: some.map((cell) => effects(rules, rules.put(s, cell), count)) }),
+        ...(message.effects && !s.ended && { same: some.map((cell) => effects(rules, rules.put(s, cell), count)) }),
       };
     }
   }
