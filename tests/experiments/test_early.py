@@ -155,6 +155,16 @@ def test_a_package_that_findings_need_is_missed_before_training(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_disk_without_room_for_the_agents_is_told_before_training(tmp_path, full_disk):
+    """A run's settings would fit; its first checkpoint would not."""
+    full_disk(500_000)
+    with pytest.raises(OSError, match=r"config\.json"):
+        run.reproduce(
+            experiment(plan(agents={"mouse": replace(TINY, levels=3)}, levels=2)), "smoke", tmp_path
+        )
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_measure_with_the_name_of_a_column_is_refused_by_the_plan():
     with pytest.raises(ValueError, match="measures have the names of other columns: length"):
         plan(measures={"length": lambda states: states["time"]})

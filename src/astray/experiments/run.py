@@ -142,15 +142,15 @@ def train_agents(
     Published agents must be present, because nothing is downloaded without request.
     """
     runs = {name: [published_run(agent)] for name, agent in plan.published.items()}
-    trainings, todo = plan.trainings(), {}
-    for name, configs in trainings.items():
-        runs[name] = [run_folder(root, config) for config in configs]
-        todo |= dict(zip(runs[name], configs, strict=True))
-    missing = not all(checkpoint.finished(run, config) for run, config in todo.items())
+    trainings = plan.trainings()
+    runs |= {name: [run_folder(root, one) for one in its] for name, its in trainings.items()}
+    todo = {run_folder(root, one): one for its in trainings.values() for one in its}
+    missing = {run: one for run, one in todo.items() if not checkpoint.finished(run, one)}
     if plan.own or missing:
         check_tests(plan)  # before hours of training, not after
     runs |= {name: own_runs(plan, name, root) for name in plan.own}
     if missing:
+        checkpoint.check_all(missing)
         if on == "here":  # else some of these wait for their turn
             check_trainable(trainings)
         if plan.speed and on == "here":
