@@ -30,8 +30,8 @@ def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
         ValueError: If the code raises anything but those.
     """
     lent = sys.stdout
-    if lent and lent is sys.__stdout__:  # the code may close it, and the verb's output follows
-        lent = open(1, "w", 1, errors="backslashreplace", closefd=False)  # noqa: SIM115
+    if sys.__stderr__ and lent is sys.__stdout__:  # the code may close it; programs read it
+        lent = open(2, "w", 1, errors="backslashreplace", closefd=False)  # noqa: SIM115
     try:
         with contextlib.redirect_stdout(lent):
             yield
