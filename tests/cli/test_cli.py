@@ -156,6 +156,8 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
         ("level maze corner --levels 0:99999999999", "from 0 to 2147483646"),
         ("level maze corner --levels 0:2000000000", "at most 10000000 are taken at once"),
         ("level maze corner --set region=5", "need placement 'region'"),
+        ("train maze corner --seed x", "--seed cannot be read: invalid literal for int() with"),
+        ("train maze corner --gamma x", "--gamma cannot be read: could not convert string to"),
         ("train maze corner --seeds 0", "seeds must be an integer from 1 to 134217728; got 0"),
         (
             "train maze corner --fraction 0.5",

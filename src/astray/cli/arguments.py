@@ -337,9 +337,7 @@ def level_numbers(text: str) -> np.ndarray:
     try:
         for part in text.split(","):
             first, colon, after = part.partition(":")
-            spans.append(
-                range(int(first), int(after)) if colon else range(int(first), int(first) + 1)
-            )
+            spans.append(range(int(first), int(after) if colon else int(first) + 1))
     except ValueError:
         raise ValueError(
             f"levels must be numbers and ranges as 5,17,100:200; got {text!r}"

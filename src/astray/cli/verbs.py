@@ -138,6 +138,8 @@ def _mistake(call: Callable[..., Any], given: list[str], refused: str) -> str:
         return f"unknown word {found[1]!r}; {usage}"
     if found := re.search(r"Error parsing (\S+): no type matching (\S+) .*?\[(.*?)\]", refused):
         return f"{found[1]} must be {found[2]}; got {found[3]}"
+    if found := re.search(r"Error parsing (\S+): (.*?) Argument helptext", refused):
+        return f"{found[1]} cannot be read: {found[2]}"
     if found := re.search(r"Missing value for argument '(--.*?)'", refused):
         return f"{found[1]} needs a value"
     there = re.sub(r"(?s).*Example: (.*?)(\n.*)?", r"as in \1", call.__doc__ or "")
