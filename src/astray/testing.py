@@ -62,7 +62,7 @@ def report_compiling(game: Game) -> None:
     if seconds > SLOW:
         warnings.warn(
             f"{game.name} took {seconds:.0f} s to compile, more than {SLOW}: docs/extending.md, "
-            '"What takes long to compile", says what mostly does',
+            '"Compile in seconds", says what takes long',
             stacklevel=3,
         )
 

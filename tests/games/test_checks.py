@@ -1,7 +1,9 @@
 """What `astray.testing` tells of a game beside what it checks."""
 
 import logging
+import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -30,10 +32,10 @@ def test_how_long_a_game_compiles_is_logged_and_many_seconds_are_warned_of(monke
         f"maze: compiled, or taken from the cache, in {caplog.records[0].args[1]:.1f} s"
     ]  # pyright: ignore
     monkeypatch.setattr(testing, "SLOW", 0)
-    with pytest.warns(
-        UserWarning, match=r"maze took \d+ s to compile, more than 0: docs/extending"
-    ):
+    with pytest.warns(UserWarning, match=r"maze took \d+ s to compile, more than 0: ") as told:
         testing.check_game(games.find("maze"), variants=[])
+    page, heading = re.search(r'(docs/\S+), "(.*)"', str(told[0].message)).groups()
+    assert f"\n### {heading}\n" in (Path(testing.__file__).parents[2] / page).read_text()
 
 
 def test_a_measure_that_is_not_one_number_of_each_episode_is_found():
