@@ -219,7 +219,7 @@ def test_a_broken_agent_keeps_no_other_from_an_exported_page(tmp_path, monkeypat
 def test_a_lab_that_cannot_be_exported_is_refused_before_a_level_is_looked_for(
     astray, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(serving, "first_distinguishing", lambda *_, **__: pytest.fail("it looks"))
+    monkeypatch.setattr(serving, "typical", lambda *_, **__: pytest.fail("it looks"))
     (tmp_path / "mine").write_text("of the user's")
     said = f"{tmp_path} must be new, or an empty folder; there is something in it"
     assert said in astray("lab", "maze-corner", "--export", tmp_path, fails=True)

@@ -18,7 +18,7 @@ from astray.analysis.runs import open_run
 from astray.games.maze.measures import decision
 from astray.insight import explain
 from astray.insight.episode import STILL, along, figure
-from astray.lab.goals import TELLING, first_distinguishing
+from astray.lab.goals import TELLING, distinguishing, typical
 from astray.level import Level
 from astray.report.page import code
 from astray.training import folders
@@ -98,7 +98,7 @@ def test_steps_in_which_an_agent_stays_in_its_place_are_not_drawn():
 def test_a_level_that_distinguishes_the_goals_is_looked_for_from_a_number_on():
     maze = games.find("maze")
     variant, shift = maze.variant("anywhere-small"), maze.shifts["corner-small"]
-    found = [first_distinguishing(maze, variant, shift, first) for first in range(5)]
+    found = [distinguishing(maze, variant, shift, range(n, 9))[0] for n in range(5)]
     parts = [decision(s) for s in initial_states(maze, variant, range(9)).view(np.recarray)]
     assert found == [next(k for k in range(n, 9) if parts[k]) for n in range(5)]
     assert found != [*range(5)]
@@ -107,18 +107,39 @@ def test_a_level_that_distinguishes_the_goals_is_looked_for_from_a_number_on():
 def test_a_level_in_which_the_agent_reaches_a_goal_after_some_steps_comes_first():
     maze, mouse = games.find("maze"), load_agent("maze-corner")
     variant, shift = maze.variant("anywhere-small"), maze.shifts["corner-small"]
-    assert first_distinguishing(maze, variant, shift) == 2  # in which this mouse is stuck
-    found = first_distinguishing(maze, variant, shift, agent=mouse)
+    assert distinguishing(maze, variant, shift, range(9))[0] == 2  # in which this mouse is stuck
+    found, _ = typical(maze, variant, shift, mouse)
     (played,) = evaluate(mouse, maze, variant, [found]).to_dicts()
     assert found > 2 and played["reached_corner"] >= TELLING
     nearest = evaluate(mouse, maze, variant, range(found))["reached_corner"]
     assert nearest.min() < TELLING  # as in level 4, where the mouse begins beside the corner
 
 
+def test_the_lab_opens_where_an_agent_shows_its_usual_goal_and_says_why():
+    maze, mouse = games.find("maze"), load_agent("maze-corner")
+    variant, shift = maze.variant("anywhere-small"), maze.shifts["corner-small"]
+    number, why = typical(maze, variant, shift, mouse)
+    level = Level.of(maze, variant, initial_states(maze, variant, [number])[0])
+    places = {str(k): one for k, one in enumerate(level.splay("goal"))}
+    played = evaluate(mouse, maze, variant, places)
+    corner, cheese = (pl.col(f"reached_{one}").fill_null(1000) for one in ("corner", "goal"))
+    assert played.select((corner < cheese).mean()).item() > 0.5  # in level 5, of 5 places in 16
+    assert why.endswith("reaches corner first here, as in most levels that distinguish the goals.")
+
+
+def test_the_lab_opens_where_a_runner_passes_the_coin():
+    game, runner = games.find("coinrun"), load_agent("coin-end")
+    shift = game.shifts["coin-end"]
+    number, why = typical(game, game.variant(shift.test), shift, runner)
+    (played,) = evaluate(runner, game, shift.test, [number]).to_dicts()
+    assert played["reached_end"] < (played["took_coin"] or 1000)  # in level 0, the coin is first
+    assert why == f"Level {number} was chosen because the agent reaches end first here."
+
+
 def test_a_level_is_found_where_goals_are_counts_that_the_end_tells():
     gardens, gardener = games.find("tomatoes"), load_agent("tomatoes-bucket")
     shift = gardens.shifts["bucket"]
-    found = first_distinguishing(gardens, gardens.variant("bucket"), shift, agent=gardener)
+    found, _ = typical(gardens, gardens.variant("bucket"), shift, gardener)
     (played,) = evaluate(gardener, gardens, "bucket", [found]).to_dicts()
     assert played["length"] >= TELLING
 

@@ -62,7 +62,7 @@ def explain(
     from astray.insight.activations import check_layers
     from astray.insight.explain import PAGE, SIGN, Asked, default_layers, written
     from astray.insight.explain import explain as write
-    from astray.lab.goals import first_distinguishing
+    from astray.lab.goals import typical
     from astray.level import Level
 
     bounded("num_levels", num_levels, 2, MOST_LEVELS)
@@ -80,7 +80,7 @@ def explain(
     number = level.find(game, levels)
     if number is None:
         first, shift = int(unseen[0]), load_shift(game, named)
-        number = first_distinguishing(game, levels, shift, first, agent)
+        number, _ = typical(game, levels, shift, agent, first)
     if not isinstance(number, Level):
         drawn = Level.of(game, levels, initial_states(game, levels, [number])[0])
         where, given = f"{name} level {number}", f"--level {number}"

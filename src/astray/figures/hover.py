@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.container import BarContainer, ErrorbarContainer
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 
 MOST = 400  # points of a series; of more, evenly spaced ones
@@ -75,19 +74,13 @@ def _bars(axes: Axes) -> Iterator[tuple[float, float, str]]:
 def _cells(axes: Axes) -> Iterator[tuple[float, float, str]]:
     """Yield the middles of coloured cells, named by x and y from the lower left."""
     for image in axes.images:
-        if not _is_heat(image):
+        found = image.get_array()
+        if found is None or found.ndim != 2 or str(image.get_label()).startswith(UNNAMED):
             continue
-        values = np.ma.filled(np.ma.asarray(image.get_array(), float), np.nan)
+        values = np.ma.filled(np.ma.asarray(found, float), np.nan)
         for row, x in np.argwhere(np.isfinite(values)):
             y = len(values) - 1 - row
             yield x + 0.5, y + 0.5, f"({x}, {y}) {image.get_label()}: {values[row, x]:.3g}"
-
-
-def _is_heat(image: AxesImage) -> bool:
-    values = image.get_array()
-    return (
-        values is not None and values.ndim == 2 and not str(image.get_label()).startswith(UNNAMED)
-    )
 
 
 def _told(axis: Axis, value: float) -> str:

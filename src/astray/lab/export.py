@@ -137,9 +137,9 @@ def _write_data(
         told["variants"] = [v for v in told["variants"] if v in found[told["game"]]["variants"]]
         _write_own_levels(lab.agents.open(name)[1], called[name], told, folder, levels)
         _write_agent(*lab.agents.open(name), called[name], told, folder, levels)
-    first = lab.start["level"]
-    if isinstance(first, int) and first >= levels:
-        first = 0  # which is always exported
+    start = dict(lab.start) | {"agent": called.get(lab.start.get("agent", ""), "")}
+    if isinstance(start["level"], int) and start["level"] >= levels:
+        start |= {"level": 0, "why": ""}  # which is always exported
     index = {
         "format": FORMAT,
         "engine": "static",
@@ -147,8 +147,7 @@ def _write_data(
         "games": found,
         "agents": about,
         "broken": {},
-        "start": dict(lab.start)
-        | {"agent": called.get(lab.start.get("agent", ""), ""), "level": first},
+        "start": start,
     }
     _write(folder / "index.json", index)
 

@@ -1,28 +1,27 @@
 """Evidence for goals in an episode, and the goals that agents reach for moved objects."""
 
 import itertools
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import polars as pl
 
-from astray.acting import Policy, steps
+from astray.acting import Levels, Policy, steps
 from astray.agency import measure
 from astray.agency.gridworld import World as Gridworld
 from astray.agency.measure import CALIBRATED
 from astray.agency.online import Growth, measure_online
 from astray.analysis.agency import named_places
-from astray.analysis.policies import Walk
-from astray.analysis.runs import play_all, scripts_of
+from astray.analysis.policies import Random, Walk
+from astray.analysis.runs import play_all
 from astray.envs.vector import quickest
 from astray.game import Game, Shift, Variant
 from astray.lab.agents import Shown, rounded
 from astray.lab.messages import LONGEST
 from astray.lab.worlds import Episode, World
 from astray.level import Level
-from astray.outcome import FAILED
 from astray.record import NEVER
 
 NEITHER = "neither"  # of the goals
@@ -30,6 +29,8 @@ OTHER = "another cell"
 PLACES = 400  # at most, that a thing is put to
 TELLING = 5  # steps to a goal; the posterior of shorter ways tells goals hardly apart
 FIRST_FEW = 50  # levels among which one that distinguishes the goals is looked for
+AT_SIGHT = 8  # levels among which one is looked for where it is not known whether they do
+SOON = 48  # steps in which the agent reaches a goal there
 BETA = CALIBRATED.beta  # of the prior of how often an agent errs
 TOGETHER = 16  # places that are played at once: a level's draws depend on which of them it is
 
@@ -60,42 +61,45 @@ def posterior(episode: Episode, shift: Shift) -> dict[str, Any]:
 
 
 def distinguishes(world: World, shift: Shift) -> bool | None:
-    """Return whether a level distinguishes the goals of a shift.
-
-    None if that takes too long to find out: in games in which things move by themselves, or without
-    a solver.
-    """
-    game = world.game
-    if game.real_time or not game.solver:
-        return None
+    """Return whether a level distinguishes the goals of a shift; None if it is not known."""
     levels = {"shown": world.level} if world.number is None else [world.number]
     try:
-        played = play_all(game, "shown", world.variant, shift, levels, [])
+        found = distinguishing(world.game, world.variant, shift, levels)
     except ValueError:  # as the cheese cannot be reached
         return None
-    return bool(played["distinguishing"][0])
+    return None if found is None else bool(found)
 
 
-def first_distinguishing(
-    game: Game, variant: Variant, shift: Shift, first: int = 0, agent: Policy | None = None
-) -> int:
-    """Return the first level, from `first` on, that distinguishes the goals; else `first`.
-
-    Args:
-        agent: Agent that reaches a goal in the level, if there is such a level, and needs at least
-            `TELLING` steps for it, if there is such a one, too.
-    """
+def distinguishing(game: Game, variant: Variant, shift: Shift, levels: Levels) -> list[int] | None:
+    """Return the levels that distinguish the goals; None if that takes too long to find out."""
     if game.real_time or not game.solver:
-        return first
-    levels, scripts = range(first, first + FIRST_FEW), scripts_of(game, shift)
-    agents = [agent] if agent and agent.name not in {one.name for one in scripts} else []
-    played = play_all(game, "shown", variant, shift, levels, agents).filter("distinguishing")
-    if agent:
-        events = [*game.events_of(shift).values()]
-        reached = played.filter(pl.col("outcome") != FAILED, policy=agent.name)
-        long = reached.filter(pl.min_horizontal("length", *events) >= TELLING)
-        played = next((some for some in (long, reached) if some.height), played)
-    return min(played["level"].to_list(), default=first)
+        return None
+    played = play_all(game, "shown", variant, shift, levels, [])
+    return played.filter("distinguishing", policy=Random().name)["level"].to_list()
+
+
+def typical(
+    game: Game, variant: Variant, shift: Shift, agent: Policy, first: int = 0
+) -> tuple[int, str]:
+    """Return the level in which the agent shows its usual goal soonest, and why it was chosen.
+
+    The usual goal is reached first in most levels that distinguish the goals; where they are not
+    known, it is a proxy. At least `TELLING` steps lead to it, if possible.
+    """
+    known = distinguishing(game, variant, shift, range(first, first + FIRST_FEW))
+    levels = known or range(first, first + AT_SIGHT)
+    played = dict(zip(levels, _outcomes(agent, game, variant, levels, shift, SOON), strict=True))
+    pursued = (*shift.proxies, *([shift.intended] if known else []))
+    shown = Counter(goal for goal, _ in played.values() if goal in pursued)
+    if not shown:
+        return levels[0], ""
+    usual, count = shown.most_common(1)[0]
+    found = {n: time for n, (goal, time) in played.items() if goal == usual}
+    chosen = min(found, key=lambda n: (found[n] < TELLING, found[n]))
+    most = (
+        ", as in most levels that distinguish the goals" if known and 2 * count > len(known) else ""
+    )
+    return chosen, f"Level {chosen} was chosen because the agent reaches {usual} first here{most}."
 
 
 def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[str, Any]:
@@ -133,7 +137,9 @@ def splay(
         outcomes = [dict[str, int]() for _ in some]
         for draw in range(draws):
             agent.seed = first + draw
-            for k, outcome in enumerate(_outcomes(agent, world, some, shift)):
+            named = {str(k): level for k, level in enumerate(some)}
+            played = _outcomes(agent, world.game, world.variant, named, shift, None)
+            for k, (outcome, _) in enumerate(played):
                 outcomes[k][outcome] = outcomes[k].get(outcome, 0) + 1
         where = [
             level.agent if thing == "agent" else _place(level, thing, at, world) for level in some
@@ -148,14 +154,15 @@ def _place(level: Level, thing: str, at: tuple[int, int] | None, world: World) -
     return min(new) if new else at or min(there)
 
 
-def _outcomes(agent: Shown, world: World, levels: list[Level], shift: Shift) -> list[str]:
-    """Return the goal that each episode reaches first."""
-    outcomes = [NEITHER] * len(levels)
-    events = [*world.game.events_of(shift).values()]
-    named = {str(k): level for k, level in enumerate(levels)}
-    for step in steps(agent, world.game, world.variant, named, until=events):
+def _outcomes(
+    agent: Policy, game: Game, variant: Variant, levels: Levels, shift: Shift, longest: int | None
+) -> list[tuple[str, int]]:
+    """Return the goal that each episode reaches first, and its number of steps until then."""
+    outcomes = [(NEITHER, 0)] * len(levels)
+    events = [*game.events_of(shift).values()]
+    for step in steps(agent, game, variant, levels, until=events, longest=longest):
         for k, s in zip(step.level[step.ended], step.after[step.ended], strict=True):
-            outcomes[k] = first_goal(s, world.game, shift)
+            outcomes[k] = first_goal(s, game, shift), int(s["time"])
     return outcomes
 
 

@@ -8,7 +8,7 @@ from astray import games
 from astray.acting import Policy, check_policy
 from astray.analysis.trained import Agent, Network, Opaque, looked_into
 from astray.lab.agents import Agents
-from astray.lab.goals import first_distinguishing
+from astray.lab.goals import typical
 from astray.lab.session import Lab
 from astray.training import folders
 from astray.training.folders import AgentFolder
@@ -59,7 +59,7 @@ def make_lab(agent: str | Path | Policy | None, start: Mapping[str, Any]) -> Lab
         shift = game.shifts.get(about.get("shift", ""))
         if shift and first["variant"] == shift.test:
             test = game.variant(shift.test).with_knobs(about["knobs"].get(shift.test, {}))
-            first["level"] = first_distinguishing(game, test, shift, agent=agents.player(name))
+            first["level"], first["why"] = typical(game, test, shift, agents.player(name))
         else:
             first["level"] = 0
     return Lab(agents, first | {"game": game.name})

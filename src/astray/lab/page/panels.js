@@ -259,8 +259,9 @@ export class Panels {
     const picture = lab.episode.states[0].picture ?? "agent";
     const doer = lab.look.agent ?? picture.split("-")[0]; // of "robot-shards" the first
     const [thing = `the ${doer}`] = kinds;
+    const why = ["agent", "variant", "level"].every((key) => (key === "level" ? lab.number : lab[key]) === lab.about.start[key]);
     part("lead").textContent = lab.agent
-      ? `Drag ${thing}. The arrows are what the ${doer} would do. ${lab.about.agents[lab.agent].caveat ?? ""}`
+      ? `Drag ${thing}. The arrows are what the ${doer} would do. ${lab.about.agents[lab.agent].caveat ?? ""} ${(why && lab.about.start.why) || ""}`
       : `Drag ${thing}, or play.`;
   }
 
