@@ -76,7 +76,7 @@ def test_a_level_distinguishes_the_goals_as_walks_to_them_do(session):
     told = [
         ask(session, "distinguishes", **MAZE, level=k)["distinguishes"] for k in range(begun + 1)
     ]
-    assert begun == 5 and told == [False, False, True, False, True, True]  # stuck in 2, near in 4
+    assert told[:6] == [False, False, True, False, True, True] and told[begun]  # stuck in 2
     walks = played.filter(policy="walk to corner").sort("level")
     assert walks["distinguishing"].to_list() == told
     runner = {"game": "coinrun", "variant": "coin-anywhere", "agent": "coin-end", "level": 0}
