@@ -106,8 +106,7 @@ class Config:
     teacher: Annotated[str | None, otherwise("none")] = None
     # Fraction of the steps that learn from the teacher; later steps learn from rewards.
     taught: float = 1.0
-    # Levels of lessons: whole episodes, or new ones in every rollout, begun anywhere in them. A
-    # student that stays where it has just been taught the way learns these levels by heart.
+    # Levels of lessons: whole episodes, or new ones in every rollout, begun anywhere in them.
     lessons: Literal["episodes", "anywhere"] = "episodes"
 
     validation_every: int = 10  # Number of iterations between validations.

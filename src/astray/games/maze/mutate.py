@@ -130,7 +130,7 @@ def edit_mouse(s, p, left, low):
 
 @kernel
 def edit_goal(s, params):
-    """Place the goal as in a new level; it stays if the mouse is in its new place."""
+    """Place the goal as in a new level; it stays if its new place is the mouse's or cut off."""
     if s.goal_x == NEVER:
         return
     shifted = unit(s) < params[0].shift_probability
@@ -146,7 +146,8 @@ def edit_goal(s, params):
         x, y = free_cell(s)
     else:
         x, y = free_cell_in(s, s.corner_x + 1 - p.region, s.corner_y + 1 - p.region)
-    if x == NEVER or (x == int(s.x) and y == int(s.y)) or s.cell[y, x] == WALL:
+    steps = distances(s.cell[: s.world, : s.world] != WALL, int(s.x), int(s.y))
+    if x == NEVER or (x == int(s.x) and y == int(s.y)) or steps[y, x] == UNREACHABLE:
         s.cell[was_y, was_x] = was
         return
     furnish(s, p)

@@ -142,3 +142,15 @@ def test_a_guide_takes_the_solvers_steps(goal):
             env.step(np.array([guide(s)]))
         if s[GAME.goals[goal]] != NEVER:  # or the cheese was on the way to the corner
             assert worth == pytest.approx(10 * 0.5 ** (int(s.time) - 1))
+
+
+def test_a_goal_does_not_move_to_a_corner_that_is_cut_off():
+    variant, legend = GAME.variant("corner"), GAME.editing.LEGEND
+    cells = np.full((variant.world, variant.world), legend["#"], np.uint8)
+    cells[3, 2:4], cells[3, 4], cells[5, 6] = legend["."], legend["G"], legend["."]
+    state = Level(GAME, variant, cells, (2, 3), {}).state()
+    assert (state["corner_x"], state["corner_y"]) == (6, 5)
+    states = np.array([state] * 8, GAME.state)
+    mutated = GAME.mutation.mutate(states, variant, np.arange(8, dtype=np.uint32), 1, "constant")
+    for s in mutated.view(np.recarray):
+        assert GAME.solver.reachable(s)[s.goal_y, s.goal_x]
