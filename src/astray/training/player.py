@@ -157,13 +157,13 @@ class Player:
     def scatter(self, random: np.random.Generator) -> None:
         """Begin new levels, with agents anywhere; raise ValueError if a sampler's are invalid."""
         self._restart()
+        draws, places = random.random(self.num_envs)[self.here], self.game.places
         for env, where in zip(self.envs, self.groups, strict=True):
             states = env.get_state()
-            free = [np.argwhere(self.game.places.stand(s)) for s in trusted(states)]
-            cells = np.array([random.choice(some)[::-1] for some in free])  # x, y
-            self.images[where] = torch.from_numpy(
-                env.set_state(self.game.places.put(states, cells))
-            )
+            free = [np.argwhere(places.stand(s)) for s in trusted(states)]
+            chosen = zip(free, draws[where], strict=True)
+            cells = np.array([some[int(u * len(some))][::-1] for some, u in chosen])  # x, y
+            self.images[where] = torch.from_numpy(env.set_state(places.put(states, cells)))
 
     def _restart(self) -> None:
         """Begin new levels in all environments."""
