@@ -48,7 +48,7 @@ def test_the_smallest_region_is_the_corner_mouse(size):
     sides = [maze_region.region(config) for config in region.agents.values()]
     assert sides == sorted(set(sides)) and sides[0] == 1
     worlds = {c.training_variant().world for c in region.agents.values()}
-    assert worlds == {c.validation_variant().world for c in region.agents.values()}
+    assert worlds == {c.variant_for(c.validation).world for c in region.agents.values()}
     assert worlds == {region.tests["in the test"].variant_for(region.config).world}
 
 

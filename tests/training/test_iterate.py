@@ -16,7 +16,7 @@ from astray.training.loop import train
 from helpers.trainings import TINY, digest
 
 LEVELS = range(200_000, 200_030)
-VARIANT = TINY.validation_variant()
+VARIANT = TINY.variant_for(TINY.validation)
 
 
 def looked_at(iteration):

@@ -214,6 +214,18 @@ def test_after_its_lessons_rewards_alone_teach_a_student(tmp_path):
     assert ["update/policy_loss" in line for line in lines] == 8 * [False] + 8 * [True]
 
 
+@pytest.mark.parametrize("anneal", [True, False])
+def test_lessons_may_have_a_learning_rate_of_their_own(anneal, tmp_path):
+    config = replace(SOLVED, taught=0.25, lesson_rate=8e-3, learning_rate=1e-4, anneal=anneal)
+    train(config, tmp_path, progress=False)
+    rates = [line["update/learning_rate"] for line in checkpoint.metrics(tmp_path)]
+    lessons, alone = (
+        (np.linspace(rate, 0, n, endpoint=False) if anneal else np.full(n, rate))
+        for rate, n in ((8e-3, 4), (1e-4, 12))
+    )
+    assert rates == pytest.approx([*lessons, *alone])
+
+
 def test_what_follows_the_lessons_is_ppo_to_the_last_digit():
     with contextlib.closing(Trainer(replace(SOLVED, taught=0.25))) as trainer:
         while trainer.is_taught:
@@ -241,6 +253,8 @@ def test_a_resumed_student_of_the_solver_is_the_one_that_was_not_stopped(
     [
         ({"taught": 0.5, "teacher": None}, "taught must be 1.0 without a teacher; got 0.5"),
         ({"lessons": "anywhere", "teacher": None}, "lessons must be episodes without a teacher"),
+        ({"lesson_rate": 0.1, "teacher": None}, "lesson_rate must be None without a teacher"),
+        ({"lesson_rate": -1.0}, "lesson_rate must be at least 0; got -1.0"),
         ({"taught": 2.0}, "taught must be from 0 to 1; got 2.0"),
         ({"variant": "region-4", "validation": None}, "a variant of a shift, which names the goal"),
     ],

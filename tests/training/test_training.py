@@ -197,8 +197,8 @@ def test_a_knob_as_text_is_the_same_setting():
 
 def test_validation_and_shifted_levels_follow_the_knobs_that_make_no_shift():
     config = replace(TINY, variant="corner", validation="anywhere", knobs={"goal_colour": "red"})
-    assert config.validation_variant().goal_colour == "red"
-    assert config.validation_variant().placement == "anywhere"
+    assert config.variant_for(config.validation).goal_colour == "red"
+    assert config.variant_for(config.validation).placement == "anywhere"
     changed = (
         games.find("maze")
         .variant("corner")

@@ -247,8 +247,8 @@ def fair(table: pl.DataFrame, config: Config) -> dict[str, pl.Expr]:
     iteration = pl.col("steps") // config.batch
     rounds = {"training": (iteration, config.training_variant())}
     if config.validation:
-        every = config.validation_every
-        rounds["validation"] = ((iteration + every - 1) // every, config.validation_variant())
+        every, tested = config.validation_every, config.variant_for(config.validation)
+        rounds["validation"] = ((iteration + every - 1) // every, tested)
     return {
         column: pl.when(rounds[which][0] * config.num_steps >= rounds[which][1].time_limit).then(
             pl.col(column)

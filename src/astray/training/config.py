@@ -108,6 +108,8 @@ class Config:
     taught: float = 1.0
     # Levels of lessons: whole episodes, or new ones in every rollout, begun anywhere in them.
     lessons: Literal["episodes", "anywhere"] = "episodes"
+    # Initial learning rate of lessons, annealed within them; learning_rate begins after them.
+    lesson_rate: Annotated[float | None, otherwise("one learning_rate for all steps")] = None
 
     validation_every: int = 10  # Number of iterations between validations.
     checkpoint_every: int = 50  # Number of iterations between checkpoints.
@@ -134,7 +136,7 @@ class Config:
                 f"got {self.first_level} to {self.training_levels.stop - 1}"
             )
         check_network(self.network)
-        for name in ("taught", "lessons"):
+        for name in ("taught", "lessons", "lesson_rate"):
             usual, given = getattr(Config, name), getattr(self, name)
             if self.teacher is None and given != usual:
                 raise ValueError(f"{name} must be {usual} without a teacher; got {given}")
@@ -165,7 +167,7 @@ class Config:
                 f"sampler {self.sampler.kind!r}"
             )
         if self.validation is not None:
-            self.validation_variant()
+            self.variant_for(self.validation)
 
     def _take_objects(self) -> None:
         """Replace objects by the names, knobs and records that stand for them."""
@@ -199,6 +201,14 @@ class Config:
             self.steps * k // 10 for k in range(1, 11)
         ]
 
+    def rate(self, steps: int) -> float:
+        """Return the learning rate after `steps` environment steps."""
+        lessons = 0 if self.lesson_rate is None else self.taught * self.steps
+        first, begun, end = self.learning_rate, lessons, self.steps
+        if steps < lessons:
+            first, begun, end = self.lesson_rate or 0.0, 0, lessons
+        return first * (1 - (steps - begun) / (end - begun) if self.anneal else 1)
+
     @property
     def training_levels(self) -> range:
         return range(self.first_level, self.first_level + self.levels)
@@ -231,20 +241,14 @@ class Config:
         """
         game = self.find_game()
         shifts = [shift for shift in game.shifts.values() if shift.intended in game.event_goals]
-        for variant in (self.variant, self.validation):
-            for shift in shifts:
-                if variant in (shift.train, shift.test):
-                    return shift.intended
+        for variant, shift in itertools.product((self.variant, self.validation), shifts):
+            if variant in (shift.train, shift.test):
+                return shift.intended
         known = ", ".join(dict.fromkeys(shift.train for shift in shifts)) or f"none in {game.name}"
         raise ValueError(
             "score 'regret' and a solver as teacher need a variant of a shift, which names the "
             f"goal; got {self.variant!r}, and there are: {known}"
         )
-
-    def validation_variant(self) -> Variant:
-        """Return the variant that is played during training without learning."""
-        assert self.validation is not None
-        return self.variant_for(self.validation)
 
     def variant_for(
         self, variant: str | Variant, changes: Mapping[str, Any] | None = None

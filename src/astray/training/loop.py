@@ -221,7 +221,7 @@ def written(
 def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     """Play a rollout and learn from it; return reproducible metrics, and speeds."""
     config, began = trainer.config, time.perf_counter()
-    rate = config.learning_rate * (1 - trainer.steps / config.steps if config.anneal else 1)
+    rate = config.rate(trainer.steps)
     if trainer.validation and trainer.iteration % config.validation_every == 0:
         validate(trainer)
     rollout = play(trainer)

@@ -23,7 +23,8 @@ COUNTS = (
     "shifted_levels",
 )  # fmt: skip
 FRACTIONS = ("gamma", "lam", "reward_gamma", "fraction", "staleness", "taught")
-AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
+RATES = ("learning_rate", "lesson_rate")
+AMOUNTS = (*RATES, "clip", "value_weight", "entropy_weight", "gradient_norm")
 RANGES = (
     {name: (1, MOST) for name in COUNTS}
     | {name: (0, 1) for name in FRACTIONS}

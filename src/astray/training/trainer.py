@@ -66,8 +66,7 @@ class Trainer:
         )
         self.validation: Player | None = None
         if config.validation:
-            other = config.validation_variant()
-            unseen = config.unseen_levels
+            other, unseen = config.variant_for(config.validation), config.unseen_levels
             self.validation = Player(config, other, unseen, 2, groups, reward=own_reward)
             _check_alike(config, self.player.space.shape, self.validation.space.shape)
         game, space = self.player.game, self.player.space
@@ -144,10 +143,8 @@ class Trainer:
     def set_rate(self, rate: float) -> None:
         """Set the optimizer's learning rate."""
         for group in self.optimizer.param_groups:
-            if isinstance(group["lr"], Tensor):
-                group["lr"].fill_(rate)
-            else:
-                group["lr"] = rate
+            was = group["lr"]
+            group["lr"] = was.fill_(rate) if isinstance(was, Tensor) else rate
 
     def repeat(
         self, function: Callable[[Tensor], dict[str, Tensor]], indices: Tensor

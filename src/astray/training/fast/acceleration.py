@@ -104,10 +104,7 @@ def resolve(config: Config, ours: bool = True, planes: bool = True) -> Accelerat
     sparse_here = of_ppo and cpu and config.network == "mlp" and planes and sparse.usable()
     fused_cpu = _settled("fused_cpu", config, sparse_here)
     native = cpu and bool(get_host_cpu_features().get("avx512bf16"))
-    large = fused_cpu or config.network not in (
-        "mlp",
-        "clear",
-    )  # enough for bfloat16 to be worth it on a CPU
+    large = fused_cpu or config.network not in ("mlp", "clear")  # bfloat16 is worth it on a CPU
     # GPUs from before 2020 only imitate it.
     old = cuda and torch.cuda.is_available() and not torch.cuda.is_bf16_supported(False)
     layout, compiler = config.network in LAYOUT, compiles(config.device) and not fused_cpu
