@@ -143,6 +143,7 @@ def test_what_a_warm_up_learned_is_undone():
 
 
 @ON_GPU
+@pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")
 @pytest.mark.parametrize(
     "change", [{"cudagraphs": True}, {"compile": True}, {"groups": 2}], ids=str
 )
@@ -150,11 +151,13 @@ def test_an_iteration_on_a_gpu_is_the_plain_one(change):
     config = replace(PICTURES, device="cuda", num_envs=32)
     plain, fast = iteration(config), iteration(config.changed(**change))
     assert (plain[1].action == fast[1].action).float().mean() > 0.99
-    torch.testing.assert_close(plain[2], fast[2], atol=1e-3, rtol=1e-2)
+    # Adam's first step has the size of the rate, and the sign of gradients that are nearly 0.
+    apart = (plain[2] - fast[2]).abs() > 1e-3
+    assert apart.float().mean() < 1e-4
 
 
 @ON_GPU
-@pytest.mark.filterwarnings("ignore:learning is slower")
+@pytest.mark.filterwarnings("ignore:learning is slower", "ignore:.*torch.jit:DeprecationWarning")
 def test_all_of_it_together_learns_on_a_gpu():
     trainer = Trainer(PICTURES.changed(device="cuda", num_envs=32, **dict.fromkeys(OFF)))
     for _ in range(3):
