@@ -96,6 +96,15 @@ def test_what_is_measured_is_there(name):
     assert games.find(name).benchmark.variant in games.find(name).variants
 
 
+def test_a_first_start_is_told_beside_the_median_of_later_ones(monkeypatch):
+    told = iter([(8.0, 7.0), (1.5, 1.0), (1.25, 1.1), (9.0, 9.0)])
+    monkeypatch.setattr(start, "_start", lambda *_: next(told))
+    row = start.measure_game("maze", "corner-small", rounds=3)
+    assert (row.first, row.first_cpu, row.later, row.later_cpu) == (8.0, 7.0, 1.5, 1.1)
+    assert "| maze corner-small | 8.0 | 7.0 | 1.50 | 1.10 |" in tables.markdown([row])
+
+
+@pytest.mark.thorough  # `test_processes_that_start_at_once_share_what_one_compiles` compiles one
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_a_first_start_compiles_and_a_later_one_does_not():
     row = start.measure_game("maze", "corner-small", rounds=1)

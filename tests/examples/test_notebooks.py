@@ -17,6 +17,8 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 SIZE = os.environ.get("ASTRAY_NOTEBOOKS", "small")
 # In small, `test_steer` runs all cells of the one that steers.
 RUN = [path for path in NOTEBOOKS if SIZE == "full" or path.stem != "steer"]
+# `test_examples` has games of one's own, too, and the tests of pottery what its robots do.
+ALWAYS = "find-the-goal"
 LONGEST = 300  # seconds of a cell of full size, on two cores
 LIVE = "application/vnd.jupyter.widget-view+json"  # an output that needs a running kernel
 INSTALL = "install"  # the id of the cell that installs astray
@@ -72,7 +74,16 @@ def test_a_notebook_is_saved_with_the_outputs_of_its_code(path):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.parametrize("path", RUN, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(
+            path, marks=pytest.mark.thorough if SIZE == "small" and path.stem != ALWAYS else ()
+        )
+        for path in RUN
+    ],
+    ids=lambda path: path.stem,
+)
 def test_a_notebook_runs_to_its_end(path, tmp_path, monkeypatch):
     client = pytest.importorskip("nbclient")
     for name, value in environment(

@@ -182,6 +182,7 @@ for step in sys.argv[1:]:
 """
 
 
+@pytest.mark.thorough  # `test_two_functions_of_a_module_are_two` compares their digests
 def test_games_that_differ_in_a_function_are_played_by_their_own(tmp_path):
     program = tmp_path / "paid.py"
     program.write_text(PAID)

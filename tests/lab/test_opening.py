@@ -68,8 +68,10 @@ def test_nothing_is_wider_than_the_page(chrome, served, width, theme):
 
 @pytest.mark.parametrize(
     "way, words, theme",
-    [("served", "", "light"), ("served", "", "dark"), ("static", "", "light"),
-     ("static", "?embedded=small", "dark")],
+    [
+        ("served", "", "light"), ("served", "", "dark"), ("static", "?embedded=small", "dark"),
+        pytest.param("static", "", "light", marks=pytest.mark.thorough),  # the page that is served
+    ],
 )  # fmt: skip
 def test_the_lab_is_accessible(chrome, request, way, words, theme):
     address = request.getfixturevalue(way) + words

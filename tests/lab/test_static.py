@@ -226,8 +226,11 @@ CYAN = """([x, y]) => {
 
 @pytest.mark.parametrize(
     "kind, thing",
-    [("dish-small", "goal on other"), ("dish-small", "agent"), ("dish-apart-small", "goal")],
-)
+    [
+        ("dish-small", "goal on other"), ("dish-apart-small", "goal"),
+        pytest.param("dish-small", "agent", marks=pytest.mark.thorough),
+    ],
+)  # fmt: skip
 def test_who_sees_dishes_does_as_in_python(chrome, untrained, tmp_path, kind, thing):
     architecture = Architecture("mlp", (5, 7, 7), (1, 1, 1, 6, 6), 15, width=8)
     untrained(tmp_path / "run", architecture, variant="dish-small", validation=None, width=8)
