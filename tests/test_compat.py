@@ -5,7 +5,6 @@ CleanRL's own script runs where ASTRAY_CLEANRL is the path of its ppo_procgen.py
 
 import os
 import re
-import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,7 +18,7 @@ from astray import games
 from astray.compat import EXPLORATION, ProcgenEnv, ProcgenGym3Env
 from astray.envs.vector import GameVectorEnv
 from helpers.drawn import environment
-from helpers.processes import environment as variables
+from helpers.processes import begin
 
 SCRIPT = Path(__file__).parents[1] / "examples" / "procgen" / "ppo_procgen.py"
 CLEANRL = os.environ.get("ASTRAY_CLEANRL", "")
@@ -185,16 +184,9 @@ def test_images_are_the_originals_where_its_pictures_are():
 
 def ran(text, folder):
     """What a script prints that trains for two iterations."""
-    (folder / "script.py").write_text(text)
-    done = subprocess.run(
-        [sys.executable, "script.py", *WORDS],
-        cwd=folder,
-        env=variables(),
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    code, out, err = begin(text, folder, *WORDS).ended()
+    assert code == 0, err
+    return out
 
 
 @pytest.mark.skipif(not SCRIPT.exists(), reason="the examples are not beside the tests")

@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -20,7 +19,7 @@ import pytest
 from astray import games, provenance
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.runs import open_run
-from astray.experiments import catalogue, labs, outcomes, run
+from astray.experiments import catalogue, labs, outcomes, run, videos
 from astray.experiments.outcomes import rate
 from astray.experiments.studies.coinrun import attribution
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
@@ -31,7 +30,7 @@ from astray.training.config import Config
 from helpers import registered
 from helpers.edits import edit
 from helpers.miniature import miniature, train_here
-from helpers.processes import begin, environment
+from helpers.processes import begin
 from helpers.trainings import TINY
 
 PATIENCE = 300  # seconds that a process is waited for; machines may be busy
@@ -93,8 +92,7 @@ def in_miniature(name, plan, monkeypatch):
     monkeypatch.setattr(attribution, "NETWORKS", 2)
     if name in ("agency", "attribution"):  # which look at every step of their episodes
         plan = replace(plan, levels=8)
-    many = ("minimax-regret", "minimax-regret-dish", "pixel-networks")  # of agents' names
-    return replace(plan, seeds=1) if name in many else plan
+    return replace(plan, seeds=1) if len(plan.agents) > 2 else plan
 
 
 def open_for_short(folder):
@@ -109,6 +107,7 @@ def test_every_experiment_runs_in_miniature(name, size, tmp_path, monkeypatch):
     plan = in_miniature(name, whole.sizes[size], monkeypatch)
     small = replace(whole, sizes={size: plan})
     monkeypatch.setattr(catalogue, "load", lambda _: small)
+    monkeypatch.setattr(videos, "RECORDED", 2)
     train_here(plan, tmp_path)
     page = run.reproduce(name, size, tmp_path)
     folder = tmp_path / f"{name}-{size}"
@@ -285,15 +284,15 @@ def test_tables_are_computed_anew_where_a_test_has_another_variant(monkeypatch):
 
 @pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")
 def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
-    words = ["reproduce", "maze-corner", "--workers", "1", "--out", str(tmp_path)]
-    process = subprocess.Popen([sys.executable, "-m", "astray", *words], stderr=subprocess.DEVNULL)
+    words = ("reproduce", "maze-corner", "--workers", "1", "--out")
+    process = begin(ASTRAY, tmp_path, *words, tmp_path).process
     config = catalogue.load("maze-corner").sizes["smoke"].config
     folder = run.run_folder(tmp_path, config)
     try:
         wait_for((folder / "metrics.jsonl").exists, PATIENCE)
     finally:  # else it would go on training for minutes
         process.kill()
-        process.wait()
+        process.join()
 
     def free():
         try:
@@ -305,11 +304,21 @@ def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
     wait_for(free, PATIENCE)
 
 
+ASTRAY = """
+import os, sys
+if __name__ == "__main__":  # which a training's process does not do again
+    from astray.cli import main
+    from astray.experiments import run
+    run.check_tests = lambda _: None  # which takes seconds in mazes
+    os.setsid()  # so that a signal may be sent to all of its processes
+    main()
+"""
 REPRODUCE = """
 import pathlib, sys
 from dataclasses import replace
 from helpers.miniature import miniature
-from astray.experiments import catalogue, run
+from astray.experiments import catalogue, run, videos
+videos.RECORDED = 2
 whole = catalogue.load("maze-corner")
 small = replace(whole, sizes={"smoke": miniature(whole.sizes["smoke"])})
 catalogue.load = lambda _: small
@@ -358,19 +367,15 @@ LINES = "agents/*/seed-*/metrics.jsonl"
     ],
 )
 def test_an_interrupt_ends_all_trainings_in_a_line(first, sent, code, told, tmp_path):
-    program = "from astray.cli import main; import sys; sys.argv = ['astray', 'reproduce', "
-    program += "'maze-corner', '--out', sys.argv[1]]; main()"
-    words = [sys.executable, "-c", program, str(tmp_path)]
-    process = subprocess.Popen(
-        words, env=environment(), stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+    begun = begin(ASTRAY, tmp_path, "reproduce", "boat-race", "--out", tmp_path)
     try:
         wait_for(lambda: list(tmp_path.glob(first)), PATIENCE)
-        os.killpg(process.pid, sent)  # as a terminal does: to all of them
-        said = process.communicate(timeout=PATIENCE)[1]
+        os.killpg(begun.process.pid, sent)  # as a terminal does: to all of them
+        begun.process.join(PATIENCE)
     finally:
-        process.kill()
-    assert process.returncode == code
+        begun.process.kill()
+    ended, _, said = begun.ended()
+    assert ended == code
     assert said.splitlines()[-1] == f"astray: {told}" and "Traceback" not in said
 
 

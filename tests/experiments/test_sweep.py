@@ -175,7 +175,7 @@ def test_axes_that_tables_have_themselves_keep_their_values(trained, tmp_path):
     assert set(figure["training_levels"]) == {100, 1000}
 
 
-def test_the_verb_trains_in_processes(astray, tmp_path):
+def test_the_verb_sweeps_what_it_is_given(astray, trained, tmp_path):
     words = [
         "sweep", "maze", "corner-small", "--steps", "512", "--num-envs", "16", "--num-steps",
         "16", "--minibatches", "4", "--width", "16", "--set", "lr=1e-4,5e-4", "--set",
@@ -183,6 +183,7 @@ def test_the_verb_trains_in_processes(astray, tmp_path):
     ]  # fmt: skip
     assert astray(*words).strip() == str(tmp_path / "sweep" / "report.html")
     assert len(list((tmp_path / "sweep" / "agents").glob("*/seed-0/config.json"))) == 2
+    assert {(one.learning_rate, one.width) for one in trained} == {(1e-4, 16), (5e-4, 16)}
     assert "unknown setting or knob 'colour'" in astray(*words, "--set", "colour=1", fails=True)
 
 

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-# What takes most programs two to three seconds of a core to import; nothing of astray.
+# What takes most programs three to four seconds of a core to import; nothing of astray. The last is
+# what torch's optimisers import when the first of them is made.
 LIBRARIES = (
     "av", "gymnasium", "jinja2", "matplotlib.pyplot", "numba", "PIL.Image", "polars",
     "rich.progress", "safetensors.torch", "scipy.stats", "sklearn.linear_model",
-    "stable_baselines3", "torch",
+    "stable_baselines3", "torch", "torch._dynamo",
 )  # fmt: skip
 
 

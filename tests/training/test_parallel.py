@@ -1,6 +1,7 @@
-"""Two processes that torchrun starts learn what one does with the batch of both."""
+"""Two processes that are begun as torchrun does learn what one does with the batch of both."""
 
 import shutil
+import socket
 import subprocess
 import sys
 
@@ -11,15 +12,26 @@ from safetensors.numpy import load_file
 from astray.training import checkpoint, parallel
 from astray.training.loop import train
 from helpers.parallel import CONFIG
-from helpers.processes import environment
+from helpers.processes import begin, environment
+
+TRAIN = "import runpy; runpy.run_module('helpers.parallel', run_name='__main__')"
 
 
 def run(*folders):
-    """Train by two processes in one folder after the other."""
-    words = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node"]
-    words += ["2", "-m", "helpers.parallel", *map(str, folders)]
-    done = subprocess.run(words, env=environment(), capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    """Train by two processes, begun as torchrun does, in one folder after the other."""
+    with socket.socket() as free:
+        free.bind(("localhost", 0))
+        port = str(free.getsockname()[1])
+    told = {"WORLD_SIZE": "2", "MASTER_ADDR": "localhost", "MASTER_PORT": port}
+    told |= {"TORCHELASTIC_RUN_ID": "one"}
+    both = [
+        begin(
+            TRAIN, folders[0].parent, *folders, env=environment(RANK=rank, LOCAL_RANK=rank, **told)
+        )
+        for rank in ("0", "1")
+    ]
+    codes, _, said = zip(*(one.ended() for one in both), strict=True)
+    assert codes == (0, 0), said
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +69,15 @@ def compare(one, two):
 
 def test_two_processes_learn_what_one_does(runs):
     compare(*runs)
+
+
+@pytest.mark.thorough
+def test_two_processes_of_torchrun_learn_what_one_does(runs, tmp_path):
+    words = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node"]
+    words += ["2", "-m", "helpers.parallel", str(tmp_path / "two")]
+    done = subprocess.run(words, env=environment(), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    compare(runs[0], tmp_path / "two")
 
 
 def test_they_tell_what_one_tells(runs):

@@ -3,7 +3,6 @@
 import json
 import sqlite3
 import struct
-import subprocess
 import sys
 from dataclasses import replace
 from importlib.util import find_spec
@@ -16,7 +15,7 @@ import astray
 from astray.experiments import track as behaviour
 from astray.training import checkpoint, track
 from astray.training.loop import train
-from helpers.processes import environment
+from helpers.processes import begin, environment
 from helpers.trainings import TINY, digest
 
 CONFIG = replace(TINY, knobs={})
@@ -124,16 +123,11 @@ COMMAND = [
 
 def trained_with(by, folder, **variables):
     """Runs `astray train --track` in a process of its own; its run folder."""
+    program = "from astray.cli import main; main()"
     words = [*COMMAND, "--out", "runs", "--track", by]
-    done = subprocess.run(
-        [sys.executable, "-m", "astray", *words],
-        cwd=folder,
-        env=environment(**variables),
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    return folder / "runs" / "seed-0", done.stderr
+    code, _, said = begin(program, folder, *words, env=environment(**variables)).ended()
+    assert code == 0, said
+    return folder / "runs" / "seed-0", said
 
 
 @pytest.mark.skipif(not find_spec("wandb"), reason="wandb is not installed")
