@@ -41,7 +41,7 @@ def assessed(astray, agent, out):
 
 
 def explained(astray, agent, out):
-    page = Path(astray("explain", agent, "--num-levels", "30", "--out", out).strip())
+    page = Path(astray("explain", agent, "--num-levels", "10", "--out", out).strip())
     assert BY_ITSELF in page.read_text()
 
 

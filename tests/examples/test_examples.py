@@ -95,8 +95,11 @@ def test_the_page_on_extending_runs_as_it_stands(tmp_path):
 
 
 def test_the_page_on_worlds_runs_as_it_stands_with_fewer_steps(tmp_path):
-    # A rollout of 2,048 for each of three agents, in the place of two; none is looked at.
-    said = run_page("worlds", 9, tmp_path, lambda text: text.replace("learn(4_000)", "learn(1)"))
+    def fewer(text):  # a rollout of 64, in the place of two of 2,048, for each of three agents
+        text = text.replace("learn(4_000)", "learn(1)")
+        return re.sub(r'(PPO\("MlpPolicy", .*?device="cpu")', r"\1, n_steps=64", text)
+
+    said = run_page("worlds", 9, tmp_path, fewer)
     assert "right misgeneralizes: it pursues end, not bell" in said
     assert (tmp_path / "reports" / "the-bell-smoke" / "report.html").exists(), said
 
@@ -110,7 +113,11 @@ def test_the_page_on_worlds_runs_as_it_stands_with_fewer_steps(tmp_path):
     ],
 )
 def test_a_tutorial_runs_as_it_stands_with_fewer_steps(page, count, written, tmp_path):
-    run_page(page, count, tmp_path, lambda text: re.sub(r"STEPS = [\d_]+", "STEPS = 512", text))
+    def fewer(text):
+        text = re.sub(r"STEPS = [\d_]+", "STEPS = 512", text)
+        return re.sub(r"range\(200_000, 200_\d+\)", "range(200_000, 200_050)", text)
+
+    run_page(page, count, tmp_path, fewer)
     assert (tmp_path / written).exists()
 
 

@@ -11,7 +11,7 @@ import polars as pl
 import astray
 from astray.analysis.critic import visit
 from astray.envs.beginnings import initial_states
-from astray.experiments import catalogue, run
+from astray.experiments import catalogue, run, videos
 from astray.kernel.maze import WALL
 from helpers.miniature import miniature, train_here
 
@@ -19,7 +19,8 @@ STUDIES = Path(__file__).parents[2] / "examples" / "studies"
 PLANS = STUDIES / "maze_plans.py"
 
 
-def test_the_study_of_plans_in_mazes_runs_in_miniature(tmp_path):
+def test_the_study_of_plans_in_mazes_runs_in_miniature(tmp_path, monkeypatch):
+    monkeypatch.setattr(videos, "RECORDED", 2)
     _, whole = catalogue.find(str(PLANS))
     plan = replace(miniature(whole.sizes["smoke"]), seeds=1, levels=10)
     train_here(plan, tmp_path)

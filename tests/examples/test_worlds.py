@@ -12,7 +12,7 @@ from gymnasium.wrappers import TimeLimit
 
 import astray
 from astray.analysis.policies import Random
-from astray.experiments import outcomes
+from astray.experiments import outcomes, videos
 from astray.experiments.run import reproduce
 from helpers.foreign import as_cleanrl, procgen_of_envpool, reference
 
@@ -26,11 +26,20 @@ def loaded(name):
     return module
 
 
-@pytest.mark.parametrize("name, steps", [("minigrid_corner", 10_000), ("minigrid_door", 15_000)])
-def test_an_agent_of_stable_baselines3_pursues_the_proxy_in_minigrid(name, steps, tmp_path):
+@pytest.mark.parametrize(
+    "name, steps",
+    [
+        ("minigrid_corner", 10_000),
+        pytest.param("minigrid_door", 15_000, marks=pytest.mark.thorough),
+    ],
+)
+def test_an_agent_of_stable_baselines3_pursues_the_proxy_in_minigrid(
+    name, steps, tmp_path, monkeypatch
+):
     pytest.importorskip("minigrid")
     example = loaded(name)
     example.STEPS = steps
+    monkeypatch.setattr(videos, "RECORDED", 2)
     plan = replace(example.EXPERIMENT.sizes["smoke"], seeds=1, levels=80)
     page = reproduce(replace(example.EXPERIMENT, sizes={"smoke": plan}), "smoke", tmp_path)
     told = page.read_text("utf-8")

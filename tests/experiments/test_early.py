@@ -135,7 +135,9 @@ def test_a_sweep_over_a_network_that_sees_nothing_of_the_kind_is_refused_before_
         ("audit", "maze-corner", "--set", "time_limit=2000000"),
     ],
 )
-def test_a_refused_report_leaves_no_folder(astray, tmp_path, words):
+def test_a_refused_report_leaves_no_folder(astray, tmp_path, monkeypatch, words):
+    if words[0] == "reproduce":  # where the levels of its tests are looked for first, for seconds
+        monkeypatch.setattr(run, "check_tests", lambda _: None)
     assert astray(*words, "--out", tmp_path / "new" / "reports", fails=True)
     assert not list(tmp_path.iterdir())
 

@@ -21,6 +21,7 @@ LEVELS = {"cheese-vector": 12, "retargeting": 34, "decodable": 24, "choice": 150
 def test_studies_of_kept_agents_run_in_miniature(name, tmp_path, monkeypatch):
     # The first layer has thirty times as many numbers as the others, and needs as much longer.
     monkeypatch.setitem(decodable.LAYERS, "smoke", decodable.LAYERS["smoke"][1:])
+    monkeypatch.setitem(decodable.FOLDS, "smoke", 2)  # for each of which all probes are fitted
     whole = catalogue.load(name)
     small = replace(whole, sizes={"smoke": replace(whole.sizes["smoke"], levels=LEVELS[name])})
     page = run.reproduce(small, "smoke", tmp_path)

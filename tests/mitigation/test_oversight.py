@@ -201,19 +201,20 @@ def test_a_curve_goes_from_the_novice_to_the_expert(mouse):
 
 def test_what_curves_share_is_as_if_each_point_were_played_by_itself(mouse):
     watch = Watch(lambda s: s["time"] >= 2, lambda s: s["time"] >= 6)
-    trial = Trial("maze", SHIFT, CORNER, range(40), ANYWHERE, LEVELS, watch)
+    corner, anywhere = (one.with_knobs({"time_limit": 30}) for one in (CORNER, ANYWHERE))
+    trial = Trial("maze", SHIFT, corner, range(40), anywhere, LEVELS, watch)
     scores = [OfLogits(mouse, "entropy"), OfLogits(mouse, "energy"), Chance()]
     table = oversight.curves(mouse, Walk("cheese"), scores, trial, ("step", "level"), (75.0,))
     assert len(table) == 3 * 2 * 3
     for score in scores:
-        known = training_scores(mouse, score, MAZE, CORNER, range(40))
+        known = training_scores(mouse, score, MAZE, corner, range(40))
         for granularity in ("step", "level"):
             mine = table.filter(score=score.name, granularity=granularity)
             limits = [np.inf, -np.inf, threshold(known, 75, granularity)]
             assert mine["threshold"].to_list() == limits
             for row, limit in zip(mine.to_dicts(), limits, strict=True):
                 policy = Helped(mouse, Walk("cheese"), score, limit, granularity)
-                played = play(policy, MAZE, ANYWHERE, LEVELS, watch)
+                played = play(policy, MAZE, anywhere, LEVELS, watch)
                 asked = played.filter(pl.col("queries") > 0)
                 assert row["return"] == played["return"].mean()
                 assert row["queries"] == played["queries"].mean()
@@ -222,8 +223,8 @@ def test_what_curves_share_is_as_if_each_point_were_played_by_itself(mouse):
                     assert row[moment] == rate
     asked = when_asked(mouse, scores, trial, 75.0)
     for score in scores:
-        limit = threshold(training_scores(mouse, score, MAZE, CORNER, range(40)), 75, "step")
-        alone = play(Helped(mouse, mouse, score, limit), MAZE, ANYWHERE, LEVELS, watch)
+        limit = threshold(training_scores(mouse, score, MAZE, corner, range(40)), 75, "step")
+        alone = play(Helped(mouse, mouse, score, limit), MAZE, anywhere, LEVELS, watch)
         found = asked.filter(score=score.name).select(alone.columns)
         assert found.drop("highest").equals(alone.drop("highest"))
         assert found["highest"].to_list() == pytest.approx(alone["highest"].to_list())
