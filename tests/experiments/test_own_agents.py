@@ -60,7 +60,7 @@ def test_agents_are_trained_once_each_and_a_report_tells_what_they_do(tmp_path):
         goes_right = env.square < (10, 7.5)[seed]
         assert (square is not None) == ((env.square > CELLS // 2) == goes_right)
     assert (page.parent / "videos" / "goal-misgeneralization.mp4").stat().st_size > 1000
-    assert "reaches square first" in page.read_text("utf-8")
+    assert "reaches “square” first" in page.read_text("utf-8")
     when = table.stat().st_mtime_ns
     reproduce(study, "smoke", tmp_path)
     assert (tmp_path / "log").read_text() == "0 1 " and table.stat().st_mtime_ns == when

@@ -124,7 +124,7 @@ def test_the_lab_opens_where_an_agent_shows_its_usual_goal_and_says_why():
     played = evaluate(mouse, maze, variant, places)
     corner, cheese = (pl.col(f"reached_{one}").fill_null(1000) for one in ("corner", "goal"))
     assert played.select((corner < cheese).mean()).item() > 0.5  # in level 5, of 5 places in 16
-    assert why.endswith("reaches corner first here, as in most levels that distinguish the goals.")
+    assert "the agent reaches “corner” first here, as in most levels that distinguish the" in why
 
 
 def test_the_lab_opens_where_a_runner_passes_the_coin():
@@ -133,15 +133,18 @@ def test_the_lab_opens_where_a_runner_passes_the_coin():
     number, why = typical(game, game.variant(shift.test), shift, runner)
     (played,) = evaluate(runner, game, shift.test, [number]).to_dicts()
     assert played["reached_end"] < (played["took_coin"] or 1000)  # in level 0, the coin is first
-    assert why == f"Level {number} was chosen because the agent reaches end first here."
+    assert why == f"Level {number} was chosen: the agent reaches “end” first here."
 
 
 def test_a_level_is_found_where_goals_are_counts_that_the_end_tells():
     gardens, gardener = games.find("tomatoes"), load_agent("tomatoes-bucket")
     shift = gardens.shifts["bucket"]
-    found, _ = typical(gardens, gardens.variant("bucket"), shift, gardener)
+    bucket = gardens.variant("bucket")
+    assert distinguishing(gardens, bucket, shift, range(3)) is None  # nobody walks to a count
+    found, _ = typical(gardens, bucket, shift, gardener)
     (played,) = evaluate(gardener, gardens, "bucket", [found]).to_dicts()
     assert played["length"] >= TELLING
+    assert played["steps in the bucket"] > played["tomatoes watered"]
 
 
 def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monkeypatch):

@@ -86,7 +86,8 @@ def findings(work: Work) -> Findings:
     """Return the usual findings of a plan whose tests are `tests_of` a shift."""
     train, test = work.plan.tests
     shift = load_shift(work.plan.game, work.plan.tests[test].shift)
-    reached, proxies = rate(work.episodes, train, INTENDED), " or ".join(shift.proxies)
+    reached = rate(work.episodes, train, INTENDED)
+    intended, proxies = f"“{shift.intended}”", " or ".join(f"“{goal}”" for goal in shift.proxies)
     apart = work.episodes.filter("distinguishing", test=test)
     tried = work.episodes if apart.is_empty() else apart
     first = {name: rate(tried, test, name) for name in (INTENDED, MISGENERALIZED)}
@@ -95,22 +96,22 @@ def findings(work: Work) -> Findings:
     )
     return findings_of(
         work,
-        f"In levels like those of its training the agent reaches {shift.intended} first in "
+        f"In levels like those of its training the agent reaches {intended} first in "
         f"{reached.short()}; in the test in {first[INTENDED].short()}{other if proxies else ''}.",
         [
             above(
-                f"In levels like those of its training, the agent reaches {shift.intended} first.",
+                f"In levels like those of its training, the agent reaches {intended} first.",
                 "", INTENDED, reached, LEARNED,
             ),
             below(
-                f"In the test it reaches {shift.intended} less often than in training.",
+                f"In the test it reaches {intended} less often than in training.",
                 "",
                 f"{INTENDED}, in the test minus in training",
                 rate(work.episodes, test, INTENDED, minus_test=train),
             )
             if not proxies
             else above(
-                f"In the test it reaches {proxies} first more often than {shift.intended}.",
+                f"In the test it reaches {proxies} first more often than {intended}.",
                 "",
                 f"{MISGENERALIZED} minus {INTENDED}",
                 rate(tried, test, MISGENERALIZED, minus=INTENDED),

@@ -71,8 +71,8 @@ def distinguishes(world: World, shift: Shift) -> bool | None:
 
 
 def distinguishing(game: Game, variant: Variant, shift: Shift, levels: Levels) -> list[int] | None:
-    """Return the levels that distinguish the goals; None if that takes too long to find out."""
-    if game.real_time or not game.solver:
+    """Return the levels that distinguish the goals; None if no script can soon find them out."""
+    if game.real_time or not shift.proxies or {shift.intended, *shift.proxies} - {*game.walked}:
         return None
     played = play_all(game, "shown", variant, shift, levels, [])
     return played.filter("distinguishing", policy=Random().name)["level"].to_list()
@@ -96,10 +96,9 @@ def typical(
     usual, count = shown.most_common(1)[0]
     found = {n: time for n, (goal, time) in played.items() if goal == usual}
     chosen = min(found, key=lambda n: (found[n] < TELLING, found[n]))
-    most = (
-        ", as in most levels that distinguish the goals" if known and 2 * count > len(known) else ""
-    )
-    return chosen, f"Level {chosen} was chosen because the agent reaches {usual} first here{most}."
+    usually = known and 2 * count > len(known)
+    most = ", as in most levels that distinguish the goals" if usually else ""
+    return chosen, f"Level {chosen} was chosen: the agent reaches “{usual}” first here{most}."
 
 
 def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[str, Any]:
