@@ -1,0 +1,28 @@
+"""Record the mouse of the first page, in training and in a test: python docs/demo.py.
+
+Its training had no level of this number. The frame is dark, so that it fits pages of both kinds.
+"""
+
+from pathlib import Path
+from unittest.mock import patch
+
+import astray
+from astray.analysis import video
+
+LEVEL, PIXELS, FPS = 100_000, 288, 4
+MAZES = {"corner-small": "in training", "anywhere-small": "in a test"}
+DARK, LIGHT = (27, 32, 40), (235, 237, 240)
+
+
+def main() -> None:
+    """Write the GIF beside the page."""
+    mouse = astray.load_agent("maze-corner")
+    mazes = [video.play(mouse, "maze", maze, LEVEL, pixels=PIXELS).frames for maze in MAZES]
+    with patch.object(video, "BACKGROUND", DARK), patch.object(video, "INK", LIGHT):
+        frames = video.beside(*mazes, captions=[*MAZES.values()])
+    held = [*range(len(frames)), *[len(frames) - 1] * (2 * FPS)]  # two seconds at the end
+    video.write_gif(frames[held], Path(__file__).parent / "maze-corner.gif", FPS)
+
+
+if __name__ == "__main__":
+    main()
