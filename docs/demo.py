@@ -9,7 +9,7 @@ from unittest.mock import patch
 import astray
 from astray.analysis import video
 
-LEVEL, PIXELS, FPS = 100_000, 288, 4
+LEVEL, LONGEST, PIXELS, FPS = 100_055, 16, 288, 4
 MAZES = {"corner-small": "in training", "anywhere-small": "in a test"}
 DARK, LIGHT = (27, 32, 40), (235, 237, 240)
 
@@ -17,7 +17,8 @@ DARK, LIGHT = (27, 32, 40), (235, 237, 240)
 def main() -> None:
     """Write the GIF beside the page."""
     mouse = astray.load_agent("maze-corner")
-    mazes = [video.play(mouse, "maze", maze, LEVEL, pixels=PIXELS).frames for maze in MAZES]
+    how = {"pixels": PIXELS, "longest": LONGEST}
+    mazes = [video.play(mouse, "maze", maze, LEVEL, **how).frames for maze in MAZES]
     with patch.object(video, "BACKGROUND", DARK), patch.object(video, "INK", LIGHT):
         frames = video.beside(*mazes, captions=[*MAZES.values()])
     held = [*range(len(frames)), *[len(frames) - 1] * (2 * FPS)]  # two seconds at the end
