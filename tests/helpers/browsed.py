@@ -14,6 +14,8 @@ import pytest
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 PATIENCE = 120  # seconds until a page shows what is waited for; machines may be busy
+LOADED, ARROWS = "globalThis.lab?.ready", "lab.fields.size > 0"
+READY = f"{LOADED} && {ARROWS}"
 ROOM = "#######\n#....G#\n#.###.#\n#.#...#\n#.#.#.#\n#@....#\n#######"
 TOKEN = "a-token-that-nobody-guesses"
 # Plays actions in a level by the rules of a page, and tells its states.
@@ -63,7 +65,7 @@ def wait(page, expression):
 
 
 @contextmanager
-def opened(browser, address, ready="lab.fields.size > 0", **options):
+def opened(browser, address, ready=ARROWS, **options):
     """A page of the lab, `ready`; what it writes to the console is in its `told`."""
     context = browser.new_context(**options)
     context.set_default_timeout(1000 * PATIENCE)
@@ -71,7 +73,7 @@ def opened(browser, address, ready="lab.fields.size > 0", **options):
     page.on("console", lambda message: told.append(message.text))
     page.on("pageerror", lambda error: told.append(str(error)))
     page.goto(address)
-    wait(page, f"globalThis.lab?.ready && {ready}")
+    wait(page, f"{LOADED} && {ready}")
     yield page, told
     context.close()
 

@@ -15,14 +15,25 @@ from astray.analysis.runs import load_agent
 from astray.insight.fields import fields
 from astray.lab.serving import make_lab
 from astray.level import Level
-from helpers.browsed import ROOM, free_port, lab_served, opened, wait
+from helpers.browsed import READY, ROOM, free_port, lab_served, opened, wait
+
+
+@pytest.fixture(scope="module")
+def window(chrome, served):
+    with opened(chrome, served) as both:
+        yield both
 
 
 @pytest.fixture
-def page(chrome, served):
-    with opened(chrome, served) as (page, told):
-        yield page
-        assert not told  # on the console
+def page(window, served):
+    """The lab, loaded anew in one window: in a new one, its modules would be compiled again."""
+    page, told = window
+    told.clear()
+    page.goto("about:blank")
+    page.goto(served)
+    wait(page, READY)
+    yield page
+    assert not told  # on the console
 
 
 def show(page, level):
