@@ -35,6 +35,7 @@ EVERY = 5.0  # seconds between reports of the levels played
 LASTING = 1_000_000  # steps; longer episodes count as endless
 OF_WORLD = 100_000  # likewise of a World, which tells no limit; its steps can take milliseconds
 REMEDY = ", or lower the variant's time_limit (--set time_limit=N)"  # of games
+GOES_ON = "%d of %d levels played; those begun go on after %d steps: --longest N truncates episodes"
 BETWEEN_LOOKS = 64  # steps between looks for endless episodes, as a look takes 10 us
 LOG = logging.getLogger(__name__)  # reports progress at level INFO
 POLICY = ("name", "observation", "art", "actions")  # required attributes of a policy
@@ -350,12 +351,14 @@ def steps(
     stage = LevelByLevel(env, levels, until, longest)
     played, told, silent = 0, time.monotonic(), longest is None and isinstance(env, WorldVectorEnv)
     for step in play(Asking(policy), stage):
-        played += int(step.ended.sum())
-        due = step.ended.any() or (silent and not played)
-        if due and time.monotonic() - told > EVERY:
-            told, silent = time.monotonic(), False
-            took = f" in {step.after['time'].max()} steps: --longest N truncates episodes"
-            LOG.info("%d of %d levels played%s", played, count, "" if played else took)
+        played, ended = played + step.ended.sum(), step.ended.any()
+        if (ended or silent) and time.monotonic() - told > EVERY:
+            told = time.monotonic()
+            if ended:
+                LOG.info("%d of %d levels played", played, count)
+            else:  # once, also where nobody asked for progress
+                silent, lasted = False, step.after["time"].max()
+                LOG.warning(GOES_ON, played, count, lasted)
         yield step
     stage.close()
 

@@ -203,6 +203,15 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: maxent.log_likelihood(MAPS["maze"](), MAPS["maze"]().walk((0, 19), [3]), 1e-4),
          "too small"),
         (lambda: Setting(SMALL, (0, 2), (2, 2), -1), "seed must be an integer from 0 to"),
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=float("nan")),  # pyright: ignore
+         "horizon must be an integer from 1 to 2147483647; got nan"),
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=1.5),  # pyright: ignore
+         "horizon must be an integer from 1 to 2147483647; got 1.5"),
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=0), "integer from 1 to 2147483647; got 0"),
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, bumps=2), "bumps must be a bool; got 2"),  # pyright: ignore
+        (lambda: Setting("..", (0, 2), (2, 2), 0), "world must be a World; got '..'"),  # pyright: ignore
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0).episodes("robust", 1.5),  # pyright: ignore
+         "count must be an integer from 0 to 2147483647; got 1.5"),
         (lambda: Episode(SMALL, by_hand([0, 99], [3])), "cells of a trajectory must be a list of"),
         (lambda: Episode(SMALL, by_hand([-1, 0], [3])), "cells of a trajectory must be a list of"),
         (lambda: Episode(SMALL, by_hand([0.0, 1.0], [3])), "trajectory must be integers"),

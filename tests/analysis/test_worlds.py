@@ -1,9 +1,11 @@
 """Any Gymnasium environment is evaluated as a game is; what is wrong with one is told."""
 
+import itertools
 import json
 import multiprocessing
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -275,11 +277,27 @@ def test_episodes_none_of_which_ends_are_told_before_they_are_refused(monkeypatc
     left = Function(lambda seen: np.zeros(len(seen), int), "left")
     with pytest.raises(ValueError, match="after 500 steps"):
         evaluate(left, troubled("endless"), "end", LEVELS[:2])
-    assert caplog.messages == ["0 of 2 levels played in 1 steps: --longest N truncates episodes"]
+    said = "levels played; those begun go on after {} steps: --longest N truncates episodes"
+    assert caplog.messages == [f"0 of 2 {said.format(1)}"]
     evaluate(left, troubled("endless"), "end", LEVELS[:2], longest=30)
     assert caplog.messages[1:] == ["2 of 2 levels played"]
     evaluate(left, "maze", "corner-small", LEVELS[:2])  # whose time is limited
     assert not [one for one in caplog.messages[2:] if "longest" in one]
+
+
+def test_a_level_without_end_after_others_is_told_where_nobody_asked_for_progress(
+    monkeypatch, caplog
+):
+    monkeypatch.setattr(acting, "OF_WORLD", 500)
+    monkeypatch.setattr(acting, "EVERY", 6)
+    clock = itertools.count()  # a second for each step
+    monkeypatch.setattr(acting, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    moves = itertools.chain([1] * 4, itertools.repeat(0))  # to the square, then never
+    policy = Function(lambda seen: np.full(len(seen), next(moves)), "once")
+    with pytest.raises(ValueError, match="after 500 steps"):
+        evaluate(policy, troubled("endless"), "end", LEVELS[:2], batch=1)
+    said = "those begun go on after 3 steps: --longest N truncates episodes"
+    assert caplog.messages == [f"1 of 2 levels played; {said}"]
 
 
 def test_what_a_world_names_must_be_there():

@@ -10,7 +10,7 @@ import numpy as np
 from astray.agency.devices import CLOCKWISE, COMPASS
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.measure import Episode
-from astray.validation import MOST, bounded, check_words, one_of
+from astray.validation import MOST, bounded, check_words, of_kind, one_of
 
 Type = Literal["in-distribution", "goal misgeneralization", "capability failure", "robust"]
 TYPES: tuple[Type, ...] = get_args(Type)
@@ -39,9 +39,10 @@ class Setting:
 
     def __post_init__(self) -> None:
         check_words(self)
+        of_kind("world", self.world, World)
         bounded("seed", self.seed, 0, MOST)
-        if self.horizon < 1:
-            raise ValueError(f"horizon must be at least 1 step; got {self.horizon}")
+        bounded("horizon", self.horizon, 1, MOST)
+        of_kind("bumps", self.bumps, bool)
         start, goal = self.world.number(self.start), self.world.number(self.goal)
         if start == goal or not np.isfinite(self.world.distance[start, goal]):
             raise ValueError(f"no way leads from {self.start} to another cell {self.goal}")
@@ -56,6 +57,7 @@ class Setting:
     def episodes(self, kind: Type, count: int) -> list[Episode]:
         """Generate `count` nonempty episodes of a type; raise ValueError if it is unknown."""
         one_of("type", kind, Type)
+        bounded("count", count, 0, MOST)
         rng = np.random.default_rng([self.seed, 2, TYPES.index(kind)])
         return [self._episode(kind, rng) for _ in range(count)]
 
