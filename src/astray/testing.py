@@ -38,7 +38,7 @@ LEVELS = range(5)  # checked levels of each variant
 def check_game(game: Game, variants: Iterable[str] | None = None) -> None:
     """Check that a game works in environments, training and analysis.
 
-    The compile time is logged, with a warning if it exceeds SLOW seconds.
+    The compile time of its batch loop is logged, with a warning if it exceeds SLOW seconds.
 
     Args:
         variants: Names of the variants to check; by default all.
@@ -54,7 +54,7 @@ def check_game(game: Game, variants: Iterable[str] | None = None) -> None:
 
 
 def report_compiling(game: Game) -> None:
-    """Log the seconds that compiling takes, with a warning if there are many."""
+    """Log the seconds that compiling the batch loop takes, with a warning if there are many."""
     before = time.process_time()
     compiled_loop(game)
     seconds = time.process_time() - before
@@ -184,7 +184,7 @@ def check_editing(game: Game, variant: Variant) -> None:
     """Check that a level survives being described, drawn and parsed again."""
     if not game.editing:
         return
-    for s in _beginnings(game, variant):
+    for s in initial_states(game, variant, LEVELS):
         level = Level.of(game, variant, s)
         told = game.editing.describe(s)
         assert told["grid"] == game.editing.grid(s).tolist()
@@ -200,7 +200,7 @@ def check_solver(game: Game, variant: Variant) -> None:
     if not game.solver:
         return
     rewarded = {shift.intended for shift in game.shifts.values()}
-    for begun, goal in product(_beginnings(game, variant), game.event_goals):
+    for begun, goal in product(initial_states(game, variant, LEVELS), game.event_goals):
         level = begun.level
         worth, soon = (game.solver.optimal_return(begun, goal, gamma) for gamma in (1.0, 0.9))
         if not worth:
@@ -223,7 +223,7 @@ def check_places(game: Game, variant: Variant) -> None:
     """Check that the agent can be put in the allowed cells and that nothing else changes."""
     if not game.places:
         return
-    for s in _beginnings(game, variant):
+    for s in initial_states(game, variant, LEVELS):
         begun, stand = np.array([s], game.state), game.places.stand(s)
         ((x, y),) = np.floor(game.places.centre(begun)).astype(int)
         assert stand.dtype == bool and stand[y, x], f"level {s.level}: it cannot be at ({x}, {y})"
@@ -241,7 +241,7 @@ def check_cells(game: Game, variant: Variant) -> None:
     """Check that agents and goals are in free cells, and reached goals at the agent."""
     if not game.cells:
         return
-    for s in _beginnings(game, variant):
+    for s in initial_states(game, variant, LEVELS):
         free = game.cells.free(s)
         (start,) = np.floor(game.places.centre(np.array([s], game.state))).astype(int)
         assert free.dtype == bool and free[start[1], start[0]]
@@ -255,7 +255,7 @@ def check_cells(game: Game, variant: Variant) -> None:
 
 def check_labels(game: Game, variant: Variant) -> None:
     """Check that labels and features are booleans, integers or reals, one per state."""
-    states = np.array(list(_beginnings(game, variant)), game.state)
+    states = np.array(list(initial_states(game, variant, LEVELS)), game.state)
     for name, label in game.labels.items():
         values = label(states)
         assert values.shape == states.shape and values.dtype.kind in "biuf", f"{name}: {values}"
@@ -267,8 +267,7 @@ def check_measures(game: Game, variant: Variant) -> None:
     """Check that measures are real numbers, one per final state."""
     env = GameVectorEnv(game, variant, len(LEVELS), autoreset_mode="Disabled")
     env.reset(seed=0, options={"level": np.array(LEVELS)})
-    for actions in _actions(env, 1):
-        env.step(actions)
+    env.step(next(_actions(env, 1)))
     states = env.get_state().view(np.recarray)
     for name, measure in game.measures.items():
         values = measure(states)
@@ -314,8 +313,3 @@ def _actions(env: GameVectorEnv, steps: int) -> Iterator[np.ndarray]:
     """Draw actions [N] for a number of steps, the same in each call."""
     random = np.random.default_rng(0)
     yield from random.integers(len(env.game.actions), size=(steps, env.num_envs))
-
-
-def _beginnings(game: Game, variant: Variant) -> Iterator[Any]:
-    """Return the states that levels begin in."""
-    yield from initial_states(game, variant, LEVELS)

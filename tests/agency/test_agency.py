@@ -207,7 +207,7 @@ LEFT = ISLANDS.walk((0, 0), [3])
          "horizon must be an integer from 1 to 2147483647; got nan"),
         (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=1.5),  # pyright: ignore
          "horizon must be an integer from 1 to 2147483647; got 1.5"),
-        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=0), "integer from 1 to 2147483647; got 0"),
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=0), "from 1 to 2147483647; got 0"),
         (lambda: Setting(SMALL, (0, 2), (2, 2), 0, bumps=2), "bumps must be a bool; got 2"),  # pyright: ignore
         (lambda: Setting("..", (0, 2), (2, 2), 0), "world must be a World; got '..'"),  # pyright: ignore
         (lambda: Setting(SMALL, (0, 2), (2, 2), 0).episodes("robust", 1.5),  # pyright: ignore

@@ -1,5 +1,6 @@
 """One command writes the report of one agent on one shift."""
 
+import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from astray.analysis.adapters import Function
 from astray.experiments.audit import FIRST, audit
 from astray.report.page import code
+from astray.training.folders import find, latest
 from helpers.rooms import CELLS, WORLD, Room, each_step, go_right
 
 RIGHT = Function(go_right, "right")
@@ -90,6 +92,18 @@ def test_a_pretrained_agent_is_audited_by_one_command(astray, tmp_path):
     first = pl.read_parquet(next((tmp_path / "audit-maze-corner-corner-small-smoke").glob(
         "computed/episodes-*.parquet")))["level"].min()  # fmt: skip
     assert first == FIRST
+
+
+def test_an_audit_keeps_the_agent_whose_checkpoint_its_training_removes_meanwhile(tmp_path):
+    run = shutil.copytree(find("maze-corner"), tmp_path / "seed-0")
+    last = latest(run)
+
+    def removing(step):
+        shutil.rmtree(last, ignore_errors=True)
+        return step.rewards
+
+    page = audit(run, levels=8, out=tmp_path / "reports", rewards={"own": removing})
+    assert not last.exists() and list(page.parent.glob("videos/*.mp4"))
 
 
 def test_the_likeliest_actions_and_changed_knobs_are_audited(astray, tmp_path):

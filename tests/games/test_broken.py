@@ -85,6 +85,18 @@ def test_a_broken_game_is_refused_where_it_is_asked_for(strangers, name):
             games.find(name)
 
 
+@pytest.mark.parametrize("value", [":GAME", "broken", "bro ken:GAME", "broken::GAME"])
+def test_an_entry_point_that_names_no_object_is_refused_with_the_form_of_a_name(
+    tmp_path, monkeypatch, value
+):
+    offer(tmp_path, monkeypatch, broken="GAME = 3")
+    entries = tmp_path / "guests-1.dist-info" / "entry_points.txt"
+    entries.write_text(f"[{games.GROUP}]\nbroken = {value}\n")
+    with pytest.raises(ValueError, match=f"^'{value}' must be a module .*; as module:attribute$"):
+        games.find("broken")
+    games._offered.cache_clear()
+
+
 def test_an_interrupt_while_a_game_loads_is_the_users(tmp_path, monkeypatch):
     offer(tmp_path, monkeypatch, waits="import signal\nsignal.raise_signal(signal.SIGINT)")
     for find in (games.find, lambda name: games.survey(str), lambda name: imports.find("waits:X")):

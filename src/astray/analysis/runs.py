@@ -51,12 +51,10 @@ def open_run(
     config.find_game().drawn(shown)
     while True:
         try:
-            agent = Agent(found.weights, config.game, mode, config.seed, device, shown)
+            return Agent(found.weights, config.game, mode, config.seed, device, shown), config
         except FileNotFoundError:  # a training removes older checkpoints
             if found == (found := AgentFolder.open(run)):
                 raise
-        else:
-            return agent, config
 
 
 def load_agent(run: str | Path, mode: Mode = "sampled", art: str | None = None) -> Agent:

@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from inspect import signature
 from pathlib import Path
 from typing import Any
@@ -142,7 +142,8 @@ def _opened(
         found = AgentFolder.open(agent)
         how = [*(["greedy"] if mode == "greedy" else []), *([art] if art else [])]
         name = name_of(found.path) + (f" ({', '.join(how)})" if how else "")
-        return found.config(), partial(load_agent, mode=mode, art=art), found.weights.parent, name
+        load = cache(partial(load_agent, mode=mode, art=art))  # a training may remove it meanwhile
+        return found.config(), load, found.weights.parent, name
     # Nobody knows what such a policy depends on: with a new path, no table of another is reused.
     place = aside_of(root / "agents" / f"audit-{agent.name}")
     return None, lambda path: agent, place, agent.name

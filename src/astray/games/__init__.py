@@ -105,8 +105,8 @@ def _offered() -> dict[str, EntryPoint]:
 
 @functools.cache
 def _load(point: EntryPoint) -> Game:
+    game = imports.find(point.value)
     with imports.guarded(f"the game {point.name!r}, {point.value},"):
-        game = point.load()
         known = isinstance(game, Game) and game.name == point.name  # a stranger's class may exit
     if not known:
         raise ValueError(f"{point.value} must be a Game called {point.name!r}; got {shown(game)}")
