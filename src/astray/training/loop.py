@@ -62,6 +62,7 @@ def train(
         '64'
 
     Args:
+        folder: This agent's own run folder; `astray train --out F` has one in F for each seed.
         network: Class or function `Architecture` -> module, which maps observations [B, ...] to
             logits [B, actions] and values [B].
         loss: Function of the arguments of `ppo.loss`; its results are logged.

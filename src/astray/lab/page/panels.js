@@ -366,8 +366,7 @@ export class Panels {
     const badge = this.part("badge");
     badge.hidden = does === null || does === undefined || !this.shift;
     if (badge.hidden) return;
-    const { intended, proxies } = this.shift;
-    const goals = `${intended} and ${proxies.join(", ")}`;
+    const goals = [this.shift.intended, ...this.shift.proxies].join(" and ");
     badge.classList.toggle("not", !does);
     badge.textContent = does ? "distinguishes the goals" : "does not distinguish the goals";
     badge.title = does
