@@ -8,6 +8,7 @@ for step in steps(policy, "maze", "anywhere", range(1000)):
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import logging
 import time
@@ -305,7 +306,6 @@ class LevelByLevel:
         if self._longest is not None:
             step.ended[:] |= step.after["time"] >= self._longest
         elif t % BETWEEN_LOOKS == 0 and step.after["time"].max() > self._lasting:
-            self.close()  # else processes would tell of a pipe that broke
             told = f"a level has not ended after {self._lasting:,}"
             raise ValueError(_endless(told, self._remedy))
         self._ended = step.ended
@@ -350,17 +350,17 @@ def steps(
     env = without_autoreset(game, variant, n, policy.observation, policy.art, longest)
     stage = LevelByLevel(env, levels, until, longest)
     played, told, silent = 0, time.monotonic(), longest is None and isinstance(env, WorldVectorEnv)
-    for step in play(Asking(policy), stage):
-        played, ended = played + step.ended.sum(), step.ended.any()
-        if (ended or silent) and time.monotonic() - told > EVERY:
-            told = time.monotonic()
-            if ended:
-                LOG.info("%d of %d levels played", played, count)
-            else:  # once, also where nobody asked for progress
-                silent, lasted = False, step.after["time"].max()
-                LOG.warning(GOES_ON, played, count, lasted)
-        yield step
-    stage.close()
+    with contextlib.closing(stage):
+        for step in play(Asking(policy), stage):
+            played, ended = played + step.ended.sum(), step.ended.any()
+            if (ended or silent) and time.monotonic() - told > EVERY:
+                told = time.monotonic()
+                if ended:
+                    LOG.info("%d of %d levels played", played, count)
+                else:  # once, also where nobody asked for progress
+                    silent, lasted = False, step.after["time"].max()
+                    LOG.warning(GOES_ON, played, count, lasted)
+            yield step
 
 
 def check_ending(

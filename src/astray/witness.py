@@ -1,5 +1,7 @@
 """The record of what happens in the environments of a `World`, and of whether levels repeat."""
 
+import multiprocessing
+import signal
 from collections.abc import Callable, Mapping
 from functools import cache
 from math import isfinite
@@ -188,6 +190,9 @@ def witnessed(
     world: World, variant: WorldVariant, longest: int | None = None, stream: int = 0
 ) -> Witness:
     """Return a new environment of a variant that records events."""
+    if multiprocessing.current_process().daemon:  # a World's worker leaves interrupts to its parent
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if world.level_key is not None:
         variant = variant.with_knobs({"stream": stream})
     return Witness(variant.make(), world, variant, longest)

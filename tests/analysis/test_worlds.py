@@ -3,6 +3,8 @@
 import itertools
 import json
 import multiprocessing
+import os
+import signal
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -18,7 +20,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import evaluate_policies
-from astray.envs.worlds import check_repeats
+from astray.envs.worlds import WorldVectorEnv, check_repeats
 from astray.game import More, Never
 from helpers.rooms import CELLS, WORLD, Room
 
@@ -256,6 +258,18 @@ def test_actions_of_several_parts_are_refused_before_the_first_step():
 def test_a_process_that_hangs_where_it_closes_is_ended():
     world = troubled("stays", workers=True, patience=1.0)
     assert evaluate(RIGHT, world, "anywhere", LEVELS[:2], batch=1).height == 2
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals there end processes")
+def test_processes_of_environments_leave_interrupts_to_their_parent(capfd):
+    env = WorldVectorEnv(replace(WORLD, workers=True), "anywhere", 2)
+    env.reset(options={"level": np.arange(2)})
+    for process in env._envs.processes:
+        os.kill(process.pid, signal.SIGINT)
+    env.step(np.ones(2, int))
+    env._envs.step_async(np.ones(2, int))  # an interrupt comes amid a step
+    env.close()
+    assert not multiprocessing.active_children() and capfd.readouterr().err == ""
 
 
 def test_an_episode_without_end_is_left_after_the_longest(monkeypatch):

@@ -217,4 +217,4 @@ def test_a_study_trains_agents_on_a_world_in_processes_of_their_own(tmp_path):
     )
     study = Experiment("Rooms", "nothing", "Where to?", {"smoke": plan}, outcomes.findings)
     page = reproduce(study, "smoke", tmp_path, workers=1)
-    assert "reaches square first" in page.read_text("utf-8")
+    assert "reaches “square” first" in page.read_text("utf-8")

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import AlreadyPendingCallError
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
@@ -24,8 +25,8 @@ from astray.witness import NOTED, witnessed
 from astray.world import World, WorldVariant
 
 _tell = cache(logging.getLogger("astray").warning)  # each text once
-# Gymnasium's warnings of an error in a process, which it also raises.
-RECEIVED = r"(?s).*ERROR: (Received the following|Traceback|Raising the last)"
+# Gymnasium's warnings of an error in a process, which it also raises, and of an interrupt.
+RECEIVED = r"(?s).*(ERROR: (Received the following|Traceback|Raising the last)|Calling `close`)"
 
 
 class WorldVectorEnv:
@@ -69,12 +70,7 @@ class WorldVectorEnv:
         self.states[which] = np.zeros((), self.states.dtype)
         self.states["level"][which] = np.asarray(options["level"])[which]
         given = {"reset_mask": which.copy()}
-        if self.game.workers:
-            with self._watched():
-                self._envs.reset_async(seed=levels, options=given)
-                seen, info = self._envs.reset_wait(timeout=self.game.patience)
-        else:
-            seen, info = self._envs.reset(seed=levels, options=given)
+        seen, info = self._ask("reset", seed=levels, options=given)
         if self.game.level_key in info:
             self.states["level"][which] = np.asarray(info[self.game.level_key])[which]
         self._check_numbers(seen)
@@ -84,12 +80,7 @@ class WorldVectorEnv:
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step N environments; return arrays [N, ...]. Raise ValueError if an action is invalid."""
         self._check_actions(actions)
-        if self.game.workers:
-            with self._watched():
-                self._envs.step_async(actions)
-                taken = self._envs.step_wait(timeout=self.game.patience)
-        else:
-            taken = self._envs.step(actions)
+        taken = self._ask("step", actions)
         states = self.states.view(np.ndarray)  # fields of a recarray take ten times as long
         states["time"] += 1
         states["ended"] = taken[2] | taken[3]
@@ -103,7 +94,7 @@ class WorldVectorEnv:
         Raises:
             ValueError: If an environment renders anything else.
         """
-        images = np.asarray(self._call("render"))
+        images = np.asarray(self._ask("call", "render"))
         if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3:
             raise ValueError(
                 f"environments of {self.variant} must render images [H, W, 3] uint8; got "
@@ -113,15 +104,15 @@ class WorldVectorEnv:
 
     def leads(self, goal: str) -> np.ndarray:
         """Return the actions [N] of the world's expert for a goal."""
-        return np.array(self._call("leads", goal))
+        return np.array(self._ask("call", "leads", goal))
 
-    def _call(self, name: str, *given: Any) -> Any:
-        """Return what a method of each environment returns."""
+    def _ask(self, method: str, *given: Any, **more: Any) -> Any:
+        """Return what a method of all environments returns."""
         if not self.game.workers:
-            return self._envs.call(name, *given)
+            return getattr(self._envs, method)(*given, **more)
         with self._watched():
-            self._envs.call_async(name, *given)
-            return self._envs.call_wait(timeout=self.game.patience)
+            getattr(self._envs, f"{method}_async")(*given, **more)
+            return getattr(self._envs, f"{method}_wait")(timeout=self.game.patience)
 
     def get_state(self) -> np.ndarray:
         """Return a copy of `states` [N]: records of episodes, which cannot restore environments."""
@@ -145,7 +136,9 @@ class WorldVectorEnv:
         if self.game.workers:
             patience.start()
         try:
-            with contextlib.closing(self._envs), self._watched():
+            # Amid a step and after an error nothing can be asked.
+            quiet = contextlib.suppress(AlreadyPendingCallError, AttributeError)
+            with self._watched(), contextlib.closing(self._envs), quiet:
                 self._learn_keys()
         finally:
             patience.cancel()
