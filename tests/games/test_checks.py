@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from astray import games, testing
+from astray.acting import initial_states
 from astray.games.maze import GAME
 from astray.insight.fields import splay
 from astray.lab import agents
@@ -115,7 +116,7 @@ def test_a_measure_that_is_no_number_of_each_state_is_found(measure):
 def test_an_agent_is_put_as_a_level_would_begin_with_it_there(game):
     game = games.find(game)
     variant = next(iter(game.variants.values()))
-    (begun, *_) = testing._beginnings(game, variant)
+    (begun, *_) = initial_states(game, variant, testing.LEVELS)
     level = Level.of(game, variant, begun)
     chosen = np.argwhere(game.places.stand(begun))[::17, ::-1]
     moved = game.places.put(np.repeat(np.array([level.state()], game.state), len(chosen)), chosen)
