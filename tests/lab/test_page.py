@@ -193,10 +193,14 @@ def test_the_object_of_the_goal_leads_and_panels_of_agents_need_one(chrome, serv
         assert page.locator("[data-lab=probing]").is_hidden()  # it has nothing for them to read
 
 
-def test_of_several_objects_any_is_to_be_dragged(chrome, served):
-    link = "#game=keys&variant=many-keys-small&level=3&agent="
+@pytest.mark.parametrize(
+    "game, variant, thing",
+    [("keys", "many-keys-small", "key"), ("tomatoes", "bucket", "dry tomato")],
+)
+def test_of_several_objects_any_is_to_be_dragged(chrome, served, game, variant, thing):
+    link = f"#game={game}&variant={variant}&level=3&agent="
     with opened(chrome, served + link, ready="true") as (page, _):
-        assert page.locator("[data-lab=lead]").text_content() == "Drag any key, or play."
+        assert page.locator("[data-lab=lead]").text_content() == f"Drag any {thing}, or play."
 
 
 def test_the_first_level_distinguishes_the_goals_and_a_badge_says_so(page):

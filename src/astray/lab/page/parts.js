@@ -15,9 +15,10 @@ export function options(select, pairs, chosen) {
 // Name of an object or a goal; in a maze, by its appearance.
 export function named(lab, name) {
   const { intended, proxies } = lab.panels.shift ?? {};
-  if (!intended || lab.look.plain) return name;
+  const said = name.split("-").reverse().join(" "); // tomato-dry is a dry tomato
+  if (!intended || lab.look.plain) return said;
   const other = proxies.find((proxy) => proxy !== "corner") ?? "other";
-  return { goal: intended, other, "goal on other": `${intended} on ${other}` }[name] ?? name;
+  return { goal: intended, other, "goal on other": `${intended} on ${other}` }[name] ?? said;
 }
 
 export const capital = (text) => text[0].toUpperCase() + text.slice(1);
