@@ -110,10 +110,12 @@ notebooks: $(INSTALLED)
 	ASTRAY_NOTEBOOKS=full ASTRAY_NOTEBOOKS_OUT=$(CURDIR)/examples/notebooks \
 		$(BIN)/python -m pytest -n 0 tests/examples/test_notebooks.py -k runs --durations=0
 
+# Without compiling all of Python's files, which is nearly half of installing: few are imported.
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[train]' --group dev
+	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt \
+		--editable '.[train]' --group dev
 	touch $@
 
 clean:
