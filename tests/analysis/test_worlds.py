@@ -8,6 +8,7 @@ import signal
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import polars as pl
@@ -261,15 +262,27 @@ def test_a_process_that_hangs_where_it_closes_is_ended():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals there end processes")
-def test_processes_of_environments_leave_interrupts_to_their_parent(capfd):
+def test_processes_of_environments_leave_interrupts_to_their_parent(capfd, monkeypatch):
     env = WorldVectorEnv(replace(WORLD, workers=True), "anywhere", 2)
     env.reset(options={"level": np.arange(2)})
     for process in env._envs.processes:
         os.kill(process.pid, signal.SIGINT)
     env.step(np.ones(2, int))
-    env._envs.step_async(np.ones(2, int))  # an interrupt comes amid a step
+    with monkeypatch.context() as amid, pytest.raises(KeyboardInterrupt):
+        amid.setattr(env._envs, "step_wait", Mock(side_effect=KeyboardInterrupt))
+        env.step(np.ones(2, int))
     env.close()
     assert not multiprocessing.active_children() and capfd.readouterr().err == ""
+
+
+def test_an_interrupt_while_actions_are_sent_is_no_error(monkeypatch):
+    env = WorldVectorEnv(replace(WORLD, workers=True), "anywhere", 2)
+    env.reset(options={"level": np.arange(2)})
+    with monkeypatch.context() as amid, pytest.raises(KeyboardInterrupt):
+        amid.setattr(env._envs.parent_pipes[1], "send", Mock(side_effect=KeyboardInterrupt))
+        env.step(np.ones(2, int))
+    env.close()  # the answer of the first waits, which is of nothing that is asked now
+    assert not multiprocessing.active_children()
 
 
 def test_an_episode_without_end_is_left_after_the_longest(monkeypatch):

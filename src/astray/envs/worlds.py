@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.error import AlreadyPendingCallError
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
@@ -54,6 +53,7 @@ class WorldVectorEnv:
             if world.workers
             else InTurn(makers, NOTED, Watch(world.patience, f"an environment of {self.variant}"))
         )
+        self._amid = False  # whether processes were asked, and not all answered
         self.single_action_space = self._envs.single_action_space
         self.single_observation_space = self._envs.single_observation_space
         # Images of bytes are in their space; to look takes as long as a quick environment's step.
@@ -111,8 +111,11 @@ class WorldVectorEnv:
         if not self.game.workers:
             return getattr(self._envs, method)(*given, **more)
         with self._watched():
+            self._amid = True
             getattr(self._envs, f"{method}_async")(*given, **more)
-            return getattr(self._envs, f"{method}_wait")(timeout=self.game.patience)
+            answer = getattr(self._envs, f"{method}_wait")(timeout=self.game.patience)
+            self._amid = False
+            return answer
 
     def get_state(self) -> np.ndarray:
         """Return a copy of `states` [N]: records of episodes, which cannot restore environments."""
@@ -136,10 +139,9 @@ class WorldVectorEnv:
         if self.game.workers:
             patience.start()
         try:
-            # Amid a step and after an error nothing can be asked.
-            quiet = contextlib.suppress(AlreadyPendingCallError, AttributeError)
-            with self._watched(), contextlib.closing(self._envs), quiet:
-                self._learn_keys()
+            with self._watched(), contextlib.closing(self._envs):
+                if not self._amid:  # after an interrupt or an error, other answers wait
+                    self._learn_keys()
         finally:
             patience.cancel()
 
