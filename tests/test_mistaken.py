@@ -18,6 +18,7 @@ from astray.agency.steps import log_table, rule
 from astray.analysis.evaluate import evaluate
 from astray.analysis.overlap import overlap
 from astray.analysis.policies import Random
+from astray.analysis.runs import evaluate_policies, evaluate_runs
 from astray.envs.beginnings import initial_states
 from astray.envs.pictures import picture
 from astray.envs.single import GameEnv
@@ -75,7 +76,7 @@ def test_a_misspelt_word_is_no_other_word(misspelt):
         (lambda: Options(beta=float("nan")), "beta must be a finite number from 1 on; got nan"),
         (lambda: Options(legal="no"), "legal must be a bool; got 'no'"),
         (lambda: Options(observations=("type", "type")), "each is given once"),
-        (lambda: measure_online(WALK, switch="1/t"), "switch must be from 0 to 1, or"),
+        (lambda: measure_online(WALK, switch="1/t"), r"not '1/\(t\+1\)', must be a finite number"),
         (
             lambda: Config(learning_rate=float("inf")),
             "learning_rate must be of type float; got inf",
@@ -300,3 +301,35 @@ def test_a_seed_of_random_actions_is_one_that_its_numbers_have(seed):
 def test_what_names_nothing_is_not_looked_for(name):
     with pytest.raises(ValueError, match="must be a module and what is in it; as module:attribute"):
         imports.find(name)
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.uint8, np.int32, np.uint64])
+def test_a_number_of_numpy_is_that_number(kind):
+    corners = "maze", "corner-small", range(3)
+    told = evaluate(Random(kind(3)), *corners, batch=kind(2), longest=kind(4))
+    assert told.equals(evaluate(Random(3), *corners, batch=2, longest=4))
+    env = GameVectorEnv("maze", "corner-small", kind(2))
+    assert env.reset(seed=kind(5))[0].shape[0] == 2
+
+
+@pytest.mark.parametrize("nothing", ["", 0, False, {}])
+def test_an_empty_variant_is_no_default(nothing):
+    for played in (
+        lambda: evaluate_policies([Random(name="mine")], "maze", "corner", [1], variant=nothing),
+        lambda: evaluate_runs(["maze-corner"], [1], variant=nothing),
+        lambda: evaluate_runs(["maze-corner"], [1], shift=nothing),
+    ):
+        with pytest.raises(ValueError, match=r"unknown (variant|shift) .* of maze; there are: "):
+            played()
+
+
+def test_a_truth_is_no_number_of_a_look():
+    data = drawn().to_json()
+    data["looks"] |= {"background": True}
+    with pytest.raises(ValueError, match="background is True, but in this level 1"):
+        Level.from_json(MAZE, SMALL, data).state()
+
+
+def test_an_array_is_shown_in_one_line():
+    with pytest.raises(ValueError, match=r"got array\(\[\[0, 0\], \[0, 0\]\]\)$"):
+        World.parse(np.zeros((2, 2), int))  # pyright: ignore

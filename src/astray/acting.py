@@ -346,7 +346,7 @@ def steps(
     count = count_levels(levels)
     bounded("batch", batch, 1, MOST)
     check_ending(game, variant, longest)
-    n = min(batch, count)
+    n = min(int(batch), count)
     env = without_autoreset(game, variant, n, policy.observation, policy.art, longest)
     stage = LevelByLevel(env, levels, until, longest)
     played, told, silent = 0, time.monotonic(), longest is None and isinstance(env, WorldVectorEnv)

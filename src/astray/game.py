@@ -70,8 +70,7 @@ class Variant:
             raise ValueError("shift_probability needs a `shifted` variant to shift to")
         if self.shifted is not None and type(self.shifted) is not type(self):
             raise ValueError("`shifted` is a variant of another game")
-        if self.time_limit < 1:
-            raise ValueError(f"time_limit must be at least 1 step; got {self.time_limit}")
+        bounded("time_limit", self.time_limit, 1, MOST)
 
     def _check_kinds(self) -> None:
         """Raise ValueError unless each knob has its declared type, to which compiled code casts."""

@@ -360,7 +360,7 @@ def _is_alike(given: Any, true: Any) -> bool:
         return len(given) == len(true) and all(map(_is_alike, given, true))
     if isinstance(true, float) and _is_number(given):
         return abs(given - true) < CLOSE
-    return given == true
+    return given == true and isinstance(given, bool) == isinstance(true, bool)
 
 
 def _check_told(given: Mapping[str, Any], true: Mapping[str, Any], what: str) -> None:

@@ -5,6 +5,7 @@ import math
 import re
 import reprlib
 import shlex
+import sys
 import typing
 import warnings
 from collections.abc import Collection, Mapping, Sequence
@@ -29,8 +30,8 @@ def bounded(name: str, given: Any, least: float, most: float) -> None:
 
 def finite(name: str, given: Any, least: float = -math.inf, most: float = math.inf) -> None:
     """Raise ValueError unless the argument `name` is a finite number from `least` to `most`."""
-    is_number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
-    if not is_number or not math.isfinite(given) or not least <= given <= most:
+    is_number = isinstance(given, int | float | np.integer | np.floating) and given is not True
+    if not is_number or not abs(given) <= sys.float_info.max or not least <= given <= most:
         said = f" from {least:g} on" if math.isfinite(least) else ""
         said = f" from {least:g} to {most:g}" if math.isfinite(most - least) else said
         raise ValueError(f"{name} must be a finite number{said}; got {shown(given)}")
@@ -107,7 +108,7 @@ def renamed(data: Any, names: Mapping[str, str], where: str) -> Any:
 
 def shown(given: Any, most: int = 80) -> str:
     """Return `given` as text of at most `most` characters, for an error."""
-    text = _Bounded().repr(given)
+    text = re.sub(r"\s*\n\s*", " ", _Bounded().repr(given))  # numpy writes an array in lines
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 

@@ -10,7 +10,7 @@ from scipy.special import betainc, betaln
 
 from astray.agency import devices, maxent
 from astray.agency.agents import of_every_cell
-from astray.agency.generators import Setting, uniform_random, wander
+from astray.agency.generators import Setting, erring, uniform_random, wander
 from astray.agency.gridworld import Trajectory, World
 from astray.agency.maps import MAPS
 from astray.agency.measure import (
@@ -221,6 +221,16 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: Episode(SMALL, [0, 1]), "a trajectory must be a Trajectory"),  # pyright: ignore
         (lambda: rule(200_000), "can be measured together; got 200000"),
         (lambda: rates(np.full((2, 3), -np.inf)), "impossible under every"),
+        (lambda: erring((2, 2), float("nan")), "eps must be a finite number from 0 to 1; got nan"),
+        (lambda: erring((2, 2), 1.5), "eps must be a finite number from 0 to 1; got 1.5"),
+        (lambda: wander(SMALL, uniform_random, (0, 0), -1, np.random.default_rng(0)),
+         "steps must be an integer from 0 to 2147483647; got -1"),
+        (lambda: measure(Episode(ISLANDS, LEFT), "paper"),  # pyright: ignore
+         "options must be a Options; got 'paper'"),
+        (lambda: measure_online(Episode(ISLANDS, LEFT, (0, 0)), switch=True),
+         "not '1/(t+1)', must be a finite number from 0 to 1; got True"),
+        (lambda: measure(Episode(ISLANDS, LEFT, (0, 0))).likeliest(-1), "count must be an integer"),
+        (lambda: Options(beta=10**400), "beta must be a finite number from 1 on; got 1000"),
     ],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused(wrong, words):

@@ -85,7 +85,8 @@ def test_a_goal_with_no_way_is_pursued_by_none():
         (np.ones((3, 2)), 1, "must be probabilities that sum to 1"),
         (np.array([[1.5, -0.5], [0.5, 0.5], [0.5, 0.5]]), 1, "must be probabilities"),
         (np.ones((2, 2)) / 2, 1, r"policy must be \(3, 2\)"),
-        (np.ones((3, 2)) / 2, 3, "goal must be a state from 0 to 2; got 3"),
+        (np.ones((3, 2)) / 2, 3, "goal must be an integer from 0 to 2; got 3"),
+        (np.ones((3, 2)) / 2, 0.5, "goal must be an integer from 0 to 2; got 0.5"),
     ],
 )
 def test_what_is_no_policy_is_refused(policy, goal, words):
@@ -98,3 +99,9 @@ def test_what_is_no_process_is_refused():
         Process(np.array([[1]]), np.array([[True]]), 0)
     with pytest.raises(ValueError, match="discount must be above 0 and below 1; got 1"):
         Process(np.array([[0]]), np.array([[True]]), 0, discount=1)
+    for possible in ([[2, 1]] * 2, [[np.nan, 1]] * 2, [[0.5, 1]] * 2):  # weights, or no end of work
+        with pytest.raises(ValueError, match="possible must be booleans; got"):
+            Process(np.array([[0, 1]] * 2), np.array(possible), 0)
+    for start in (0.5, True, "0", None):
+        with pytest.raises(ValueError, match="start must be an integer from 0 to 1; got"):
+            Process(np.array([[0, 1]] * 2), np.ones((2, 2), bool), start)  # pyright: ignore

@@ -155,5 +155,10 @@ def test_episodes_of_a_world_that_tells_its_cells_are_measured():
     assert {one.level for one in found} <= set(range(12)) and len(found) > 3
     assessed, _ = assess_policy(Walk("end"), world, world.variant("anywhere"), "end", range(12))
     assert "end" in assessed.explanations
+    halved = replace(world, cells=lambda env: layout(env)._replace(agent=(env.x + 0.5, 0)))
+    with pytest.raises(ValueError, match="a cell must be two integers, x and y; got"):
+        play(Walk("end"), halved, world.variant("anywhere"), range(3), world.shifts["end"])
+    with pytest.raises(ValueError, match="unknown measure 'Paper'; there are: paper, calibrated"):
+        assess_policy(Walk("end"), world, world.variant("end"), "end", [1], "Paper")
     with pytest.raises(ValueError, match="'room' has no cells, which this needs: World"):
         play(Walk("end"), rooms.WORLD, rooms.WORLD.variant("end"), [1], world.shifts["end"])

@@ -10,7 +10,7 @@ import numpy as np
 from astray.agency.devices import CLOCKWISE, COMPASS
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.measure import Episode
-from astray.validation import MOST, bounded, check_words, of_kind, one_of
+from astray.validation import MOST, bounded, check_words, finite, of_kind, one_of
 
 Type = Literal["in-distribution", "goal misgeneralization", "capability failure", "robust"]
 TYPES: tuple[Type, ...] = get_args(Type)
@@ -150,6 +150,7 @@ def wander(
     world: World, walker: Walker, begin: Cell, steps: int, rng: np.random.Generator
 ) -> Trajectory:
     """Return the trajectory of `steps` actions of `walker`."""
+    bounded("steps", steps, 0, MOST)
     here, actions, last = world.number(begin), [], int(rng.integers(len(ACTIONS)))
     for _ in range(steps):
         last = walker(world, here, last, rng)
@@ -160,6 +161,7 @@ def wander(
 
 def erring(goal: Cell, eps: float) -> Walker:
     """Return an agent for `goal` that takes any action with probability `eps`."""
+    finite("eps", eps, 0, 1)
 
     def walker(world: World, here: int, last: int, rng: np.random.Generator) -> int:
         steps = world.distance[:, world.number(goal)]

@@ -21,7 +21,7 @@ from astray.agency.agents import Agents, AtGoal, of_every_cell
 from astray.agency.devices import First, Observation
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.steps import Noise, Rule, log_product, log_table, rule
-from astray.validation import check_words, finite, of_kind, one_of
+from astray.validation import MOST, bounded, check_words, finite, of_kind, one_of
 
 Goals = Literal["accessible and true", "accessible", "all cells"]
 Goal = Cell | str  # a cell, or a name
@@ -121,6 +121,7 @@ class Evidence:
 
     def likeliest(self, count: int = 1) -> list[tuple[Goal, float]]:
         """Return the `count` most likely goals with their posteriors."""
+        bounded("count", count, 0, MOST)
         posterior = self.posterior
         order = np.argsort(-posterior, kind="stable")[:count]
         return [(self.goals[i], float(posterior[i])) for i in order]
@@ -217,6 +218,7 @@ def prepared(episodes: Episode | Sequence[Episode], options: Options) -> list[Ep
     Raises:
         ValueError: If there are no episodes.
     """
+    of_kind("options", options, Options)
     of_kind("episodes", episodes, Episode | Sequence)
     whole = [episodes] if isinstance(episodes, Episode) else list(episodes)
     for episode in whole:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from astray.validation import finite, of_kind, shown
+from astray.validation import bounded, finite, of_kind, shown
 
 LARGEST = 1e4  # rationality; beyond it, policies are optimal to all digits
 PRECISION = 1e-9  # of soft values, in nats
@@ -59,8 +59,9 @@ class Process:
             or not ((self.after >= 0) & (self.after < states)).all()
         ):
             raise ValueError(f"after must be states from 0 to {states - 1}")
-        if not 0 <= self.start < states:
-            raise ValueError(f"start must be a state from 0 to {states - 1}; got {self.start}")
+        if self.possible.dtype != bool:
+            raise ValueError(f"possible must be booleans; got {self.possible.dtype}")
+        bounded("start", self.start, 0, states - 1)
         finite("discount", self.discount, 0, 1)
         if self.discount in (0, 1):
             raise ValueError(f"discount must be above 0 and below 1; got {self.discount}")
@@ -143,8 +144,7 @@ def goal_directedness(process: Process, policy: np.ndarray, goal: int) -> Direct
     Raises:
         ValueError: The policy is not one of the process, or the goal is not a state.
     """
-    if not 0 <= goal < len(process.after):
-        raise ValueError(f"goal must be a state from 0 to {len(process.after) - 1}; got {goal}")
+    bounded("goal", goal, 0, len(process.after) - 1)
     of_kind("policy", policy, np.ndarray)
     if policy.shape != process.after.shape:
         raise ValueError(f"policy must be {process.after.shape}; got {shown(policy.shape)}")

@@ -20,6 +20,7 @@ from astray.agency.measure import (
     seen_in,
 )
 from astray.agency.steps import IMPOSSIBLE, Rule, log_table, rule
+from astray.validation import finite
 
 BY_TIME = "1/(t+1)"
 Switch = float | Literal["1/(t+1)"]
@@ -50,8 +51,8 @@ def measure_online(episode: Episode, options: Options = CALIBRATED, switch: Swit
     Raises:
         ValueError: If the probability is out of range.
     """
-    if not (switch == BY_TIME if isinstance(switch, str) else 0 <= switch <= 1):
-        raise ValueError(f"switch must be from 0 to 1, or {BY_TIME!r}; got {switch!r}")
+    if switch != BY_TIME:
+        finite(f"switch, where it is not {BY_TIME!r},", switch, 0, 1)
     (episode,) = prepared(episode, options)
     goals, prior, (columns,) = goals_in([episode], options)
     nodes = rule(len(episode.trajectory), options.beta)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from astray.agency.gridworld import ACTIONS
-from astray.validation import one_of
+from astray.validation import finite, one_of
 
 Noise = Literal["any action", "other actions"]
 
@@ -58,8 +58,7 @@ def rule(degree: int, beta: float = 1.0) -> Rule:
     Raises:
         ValueError: If the degree is too large.
     """
-    if beta < 1:
-        raise ValueError(f"beta must be at least 1; got {beta}")
+    finite("beta", beta, 1)
     if degree > LONGEST:
         raise ValueError(f"at most {LONGEST} steps can be measured together; got {degree}")
     needed = degree + int(np.ceil(beta - 1))

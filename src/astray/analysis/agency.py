@@ -22,6 +22,7 @@ from astray.analysis import video
 from astray.analysis.estimates import Estimate, estimate_mean
 from astray.analysis.outcomes import load_shift
 from astray.game import Game, Shift, Variant
+from astray.level import check_cell
 from astray.validation import one_of
 from astray.witness import witnessed
 from astray.world import Layout, World, WorldVariant
@@ -98,14 +99,9 @@ def _layouts(world: World, variant: WorldVariant, levels: Any) -> list[Layout]:
         free, agent, goals = world.cells(env.unwrapped)
         for goal in goals:
             one_of("goal of a layout", goal, world.goals)
-        found.append(Layout(np.asarray(free, bool), _cell(agent), goals))
+        found.append(Layout(np.asarray(free, bool), check_cell(agent), goals))
     env.close()
     return found
-
-
-def _cell(cell: Any) -> Cell:
-    x, y = cell
-    return int(x), int(y)
 
 
 def _coordinate(world: World, axis: int, env: Any) -> float:
@@ -120,7 +116,7 @@ def _noting(world: World) -> World:
 
 
 def _noted(states: np.ndarray) -> list[Cell]:
-    return [_cell(cell) for cell in zip(*(states[name] for name in PLACE), strict=True)]
+    return [(int(x), int(y)) for x, y in zip(*(states[name] for name in PLACE), strict=True)]
 
 
 def _cells(game: Game, states: np.ndarray) -> list[Cell]:
@@ -135,7 +131,7 @@ def _played(
     places = _named(game, shift, begun.goals.get)
     if any(place is None for place in places.values()):
         return None
-    goals = {name: [_cell(place)] for name, place in places.items()}
+    goals = {name: [check_cell(place)] for name, place in places.items()}
     world = Gridworld(begun.free)
     last = max((way.index(place) for place in places.values() if place in way), default=len(way))
     intended = goals[shift.intended][0]
@@ -283,6 +279,7 @@ def assess_policy(
     Raises:
         ValueError: If the game or the world has no `cells`, or no level has all the goals.
     """
+    one_of("measure", measure, PRESETS)
     options = PRESETS[measure]
     played = play(policy, game, variant, levels, load_shift(game, shift))
     assessed = assess(played, options)

@@ -26,7 +26,7 @@ def episode_noise(seed: int, states: np.ndarray, count: int, salt: int = 0) -> n
     """
     bounded("seed", seed, 0, MOST)
     out = np.empty((len(states), count), np.float32)
-    fill_noise(salt + seed, states["level"].copy(), states["time"].copy(), out)
+    fill_noise(salt + int(seed), states["level"].copy(), states["time"].copy(), out)
     return out
 
 
@@ -50,7 +50,7 @@ class Random:
 
 def _drawn(space: Space, seed: int, level: int, time: int) -> Any:
     """Draw an element of a space, determined by seed, level and step."""
-    numbers = np.random.SeedSequence((RANDOM_SALT + seed, level, time)).generate_state(1)
+    numbers = np.random.SeedSequence((RANDOM_SALT + int(seed), level, time)).generate_state(1)
     space.seed(int(numbers[0]))
     return space.sample()
 

@@ -161,8 +161,8 @@ def evaluate_runs(
         for name in ("game", "variant", "knobs", *(["art"] if art is None else [])):
             if getattr(other, name) != getattr(config, name):
                 raise ValueError(f"{runs[0]} and {run} were trained with different {name}")
-    named, game = shift or shift_of(config), config.find_game()
-    played = variant or load_shift(game, named).test
+    named, game = shift_of(config) if shift is None else shift, config.find_game()
+    played = load_shift(game, named).test if variant is None else variant
     if levels is None:
         after = max((other.unseen_levels for _, other in opened), key=lambda left: left.start)
         levels = np.array(after[:LEVELS_PLAYED])
@@ -221,9 +221,9 @@ def evaluate_policies(
         ('right',)
     """
     game = world.find(game)
-    wanted: Any = variant or load_shift(game, shift).test
+    wanted: Any = load_shift(game, shift).test if variant is None else variant
     played = range(LEVELS_PLAYED) if levels is None else levels
-    changed = game.variant(wanted).with_knobs(knobs or {})
+    changed = game.variant(wanted).with_knobs({} if knobs is None else knobs)
     of_kind("policies", policies, Sequence)
     how: Any = {"batch": batch, "longest": longest, "rewards": rewards, "names": names_of(policies)}
     return _outcomes(policies, game, name_of(wanted), changed, shift, played, solvable, **how)

@@ -23,7 +23,7 @@ from astray.game import OWN, Game, Variant
 from astray.level import Level
 from astray.memory import check_memory
 from astray.record import LEVELS, level_numbers, trusted
-from astray.validation import MOST, bounded, integers, of_kind, one_of
+from astray.validation import MOST, bounded, integers, of_kind, one_of, shown
 
 IMAGE = 64  # pixels a side of what the agent sees
 COPIES = 6  # of an observation: four in the batch's space, the last one, the one at an end
@@ -115,7 +115,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             scene = looks.scene_shape(self.variant, IMAGE)
         numbers = math.prod(self.single_observation_space.shape)
         each = COPIES * numbers + math.prod(scene) + 2 * self.game.state.itemsize
-        check_memory(num_envs * each, f"{num_envs:,} environments")
+        check_memory(int(num_envs) * each, f"{num_envs:,} environments")
         self.single_action_space = spaces.Discrete(len(self.game.actions))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -266,7 +266,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         reward, terminated, truncated = np.empty(n), np.empty(n, bool), np.empty(n, bool)
         results = reward, terminated, truncated
         if actions.shape != (n,) or not self._run(self._steps, out, actions, results):
-            raise ValueError(f"actions must be {n} integers from 0 to {largest}; got {actions}")
+            raise ValueError(
+                f"actions must be {n} integers from 0 to {largest}; got {shown(actions)}"
+            )
 
         info: Info = {}
         ended = terminated | truncated

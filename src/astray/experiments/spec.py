@@ -124,8 +124,7 @@ class Plan:
         fewest = min(
             (len(config.unseen_levels) for config in self.agents.values()), default=math.inf
         )
-        if not 1 <= self.levels <= fewest:
-            raise ValueError(f"levels must be from 1 to {fewest}; got {self.levels}")
+        bounded("levels", self.levels, 1, fewest)
         if self.own and self.first_level is None:
             object.__setattr__(self, "first_level", OWN_LEVELS)
         if self.first_level is not None:

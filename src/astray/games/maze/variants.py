@@ -6,6 +6,7 @@ from typing import Literal, get_args
 from astray.game import Shift, Variant
 from astray.games.maze.rules import LARGEST
 from astray.kernel.maze import AS_NUMBERED, check_sizes
+from astray.validation import MOST, bounded
 
 Shape = Literal["none", "cheese", "line", "gem", "star", "ring", "cross"]
 Other = Literal["none", "cheese", "line", "gem", "star", "ring", "cross", "dish"]
@@ -59,12 +60,10 @@ class Maze(Variant):
                 f"placement 'other' needs other_shape 'dish', on which the goal is seen; it is "
                 f"{self.other_shape!r}"
             )
-        if not 1 <= self.dish_planes <= MOST_PLANES:
-            raise ValueError(f"dish_planes must be from 1 to {MOST_PLANES}; got {self.dish_planes}")
+        bounded("dish_planes", self.dish_planes, 1, MOST_PLANES)
         if self.dish_planes != 1 and self.other_shape != "dish":
             raise ValueError(f"dish_planes need other_shape 'dish'; it is {self.other_shape!r}")
-        if self.region < 1:
-            raise ValueError(f"region must be at least 1; got {self.region} cells a side")
+        bounded("region", self.region, 1, MOST)
         for name in ("goal", "other"):
             shape, colour = getattr(self, f"{name}_shape"), getattr(self, f"{name}_colour")
             if shape != "none" and colour == "none":

@@ -223,7 +223,7 @@ def test_measures_follow_the_runner():
         ({"numbering": "stock"}, "unknown numbering"),
         ({"numbering": "procgen", "random_coin": 0.5}, "have no ledge for a random coin"),
         ({"numbering": "procgen", "coins": "two"}, "have no ledge for a random coin"),
-        ({"time_limit": 0}, "time_limit must be at least 1 step; got 0"),
+        ({"time_limit": 0}, "time_limit must be an integer from 1 to 2147483647; got 0"),
     ],
 )
 def test_bad_knobs_are_explained(knobs, message):
