@@ -1,5 +1,6 @@
 """Any Gymnasium environment is evaluated as a game is; what is wrong with one is told."""
 
+import contextlib
 import itertools
 import json
 import multiprocessing
@@ -282,6 +283,21 @@ def test_an_interrupt_while_actions_are_sent_is_no_error(monkeypatch):
         amid.setattr(env._envs.parent_pipes[1], "send", Mock(side_effect=KeyboardInterrupt))
         env.step(np.ones(2, int))
     env.close()  # the answer of the first waits, which is of nothing that is asked now
+    assert not multiprocessing.active_children()
+
+
+def test_the_end_of_all_processes_at_once_is_no_other_error(monkeypatch):
+    env = WorldVectorEnv(replace(WORLD, workers=True), "anywhere", 2)
+    env.reset(options={"level": np.arange(2)})
+    with monkeypatch.context() as amid, pytest.raises(KeyboardInterrupt), contextlib.closing(env):
+        amid.setattr(env._envs, "step_wait", Mock(side_effect=KeyboardInterrupt))
+        try:
+            env.step(np.ones(2, int))
+        finally:
+            amid.undo()
+            for process in env._envs.processes:
+                process.terminate()
+                process.join()
     assert not multiprocessing.active_children()
 
 

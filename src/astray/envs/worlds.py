@@ -139,8 +139,9 @@ class WorldVectorEnv:
         if self.game.workers:
             patience.start()
         try:
-            with self._watched(), contextlib.closing(self._envs):
-                if not self._amid:  # after an interrupt or an error, other answers wait
+            amid = [RuntimeError] * self._amid  # after an interrupt or an error, which is told
+            with contextlib.suppress(*amid), self._watched(), contextlib.closing(self._envs):
+                if not amid:  # other answers wait
                     self._learn_keys()
         finally:
             patience.cancel()

@@ -24,7 +24,7 @@ from astray.analysis.trained import Agent, AnyModel, Model
 from astray.game import Variant
 from astray.insight.activations import activations, check_layers
 from astray.level import Cell
-from astray.validation import MOST, bounded, finite, of_kind, shown
+from astray.validation import MOST, bounded, finite, integers, of_kind, shown
 
 AT_ONCE = 64  # states per pass
 Change = Callable[[Tensor], Tensor]  # activations [B, ...] -> those in their place
@@ -281,11 +281,11 @@ def _channels(
     count = shape[0]
     if channels is None:
         return shape, np.arange(count)
-    found = np.asarray(channels)
-    if found.ndim != 1 or (found.size and found.dtype.kind not in "iu"):
-        raise ValueError(f"channels must be integers in a list; got {shown(channels)}")
-    if found.size and not (found.min() >= 0 and found.max() < count):
-        raise ValueError(f"channels must be from 0 to {count - 1}; got {shown(channels)}")
+    found = integers(channels, "channels")
+    if found.ndim != 1 or (found < 0).any() or (found >= count).any():
+        raise ValueError(
+            f"channels must be from 0 to {count - 1}, in a list; got {shown(channels)}"
+        )
     return shape, found.astype(np.int64)
 
 

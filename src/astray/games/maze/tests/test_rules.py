@@ -112,7 +112,7 @@ def test_bad_drawings_are_explained(room, message):
         ({"world": 26}, "world must be odd"),
         ({"largest": 27}, "must be odd, in order"),
         ({"smallest": 4}, "must be odd, in order"),
-        ({"region": 0, "placement": "region"}, "at least 1"),
+        ({"region": 0, "placement": "region"}, "region must be an integer from 1"),
         ({"region": 5}, "need placement 'region'; it is 'anywhere'"),
         (
             {"shifted": VARIANTS["anywhere-easy"], "shift_probability": 0.1},
