@@ -283,9 +283,7 @@ def _channels(
         return shape, np.arange(count)
     found = integers(channels, "channels")
     if found.ndim != 1 or (found < 0).any() or (found >= count).any():
-        raise ValueError(
-            f"channels must be from 0 to {count - 1}, in a list; got {shown(channels)}"
-        )
+        raise ValueError(f"channels must be from 0 to {count - 1}, listed; got {shown(channels)}")
     return shape, found.astype(np.int64)
 
 
