@@ -11,7 +11,6 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from astray.level import check_cell
 from astray.validation import bounded, integers, of_kind, shown
 
 ACTIONS = ("up", "down", "left", "right")
@@ -108,7 +107,9 @@ class World:
 
     def number(self, cell: Cell) -> int:
         """Return the number of a free cell; raise ValueError for any other cell."""
-        x, y = check_cell(cell)
+        if np.shape(cell) != (2,) or np.asarray(cell).dtype.kind not in "iu":
+            raise ValueError(f"a cell must be two integers, x and y; got {shown(cell)}")
+        x, y = cell
         height, width = self.free.shape
         if not (0 <= x < width and 0 <= y < height):
             raise ValueError(f"cell {cell} is outside of the map of {width} x {height} cells")
