@@ -14,7 +14,7 @@ from astray.experiments import catalogue
 from astray.experiments.spec import Place, Size
 from astray.game import OWN, Game
 from astray.training import folders
-from astray.training.config import PRESETS, Tracking
+from astray.training.config import PRESETS, Device, Tracking
 from astray.training.settings import otherwise
 from astray.validation import bounded, brief, printable
 
@@ -97,6 +97,7 @@ def reproduce(
     out: Path = Path("reports"),
     workers: Workers = None,
     on: Place = "here",
+    device: Annotated[Device | None, otherwise("the size's")] = None,
     art: str = OWN,
     track: Annotated[Tracking | None, otherwise("none")] = None,
 ) -> None:
@@ -113,6 +114,7 @@ def reproduce(
             agents`).
         out: Folder of reports: this one is written to <name>-<size>, and all share the agents.
         on: Place of the trainings: this machine, or a Ray cluster whose nodes share the folder.
+        device: Device of the trainings.
         art: Art that images are drawn with: own or original.
         track: Tracker of the trainings' metrics and of the report.
 
@@ -125,16 +127,15 @@ def reproduce(
         raise ValueError("name an experiment, as `astray list` has them, or all")
     if workers is not None:
         bounded("workers", workers, 1, MOST_WORKERS)
+    how: dict[str, Any] = dict(workers=workers, on=on, device=device, art=art, track=track)
     if len(names) == 1 and names[0] != run.ALL:
-        print(run.reproduce(names[0], size, out, workers=workers, on=on, art=art, track=track))
+        print(run.reproduce(names[0], size, out, **how))
     else:
-        print(run.reproduce_each(names, size, out, workers=workers, on=on, art=art, track=track))
+        print(run.reproduce_each(names, size, out, **how))
 
 
 def bench(
-    what: Positional[Benchmark] = "environments",
-    markdown: bool = False,
-    device: Literal["cpu", "cuda", "mps"] = "cpu",
+    what: Positional[Benchmark] = "environments", markdown: bool = False, device: Device = "cpu"
 ) -> None:
     """Measure speed in ratios within one run, and against other libraries where possible.
 

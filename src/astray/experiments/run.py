@@ -38,7 +38,7 @@ from astray.game import OWN
 from astray.report import page as report
 from astray.report.claims import corrected
 from astray.training import checkpoint, folders
-from astray.training.config import SOLVER, Config, Fast, Tracking
+from astray.training.config import SOLVER, Config, Device, Fast, Tracking
 from astray.training.folders import AgentFolder
 from astray.training.loop import checked
 from astray.training.teacher import give
@@ -58,6 +58,7 @@ def reproduce(
     *,
     workers: int | None = None,
     on: Place = "here",
+    device: Device | None = None,
     art: str = OWN,
     track: Tracking | None = None,
 ) -> Path:
@@ -72,6 +73,8 @@ def reproduce(
             `agents` is shared by all. On a cluster all nodes must see it.
         workers: Number of agents trained at once here; None for one per processor.
         on: Place of the trainings; evaluation happens here.
+        device: Device of the trainings; None for that of their settings, a CPU in all sizes but
+            hour and paper. With another the report's folder is <name>-<size>-<device>.
         art: Art of all images; with original art the report's folder is <name>-<size>-<art>.
         track: External tracker of trainings and report: wandb or trackio.
 
@@ -80,8 +83,10 @@ def reproduce(
         OSError: If the report's folder holds files that astray did not write.
     """
     name, whole = sized(experiment, size)
-    plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
-    folder = root / f"{name}-{size}{ending}"
+    plan = whole.sizes[size].drawn_with(art).trained_on(device)
+    chosen = {"device": device, "art": None if art == OWN else art}
+    options = {option: value for option, value in chosen.items() if value}
+    folder = root / "-".join((name, size, *options.values()))
     whole.check_installed()
     if track:
         check_installed(track)
@@ -95,7 +100,12 @@ def reproduce(
         question=whole.question,
         differences=plan.differences,
         command=whole.command
-        or f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
+        or " ".join(
+            (
+                f"astray reproduce {given} --size {size}",
+                *(f"--{option} {value}" for option, value in options.items()),
+            )
+        ),
     )
     # Results of agents of others stand beside those of agents trained here.
     beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
@@ -153,7 +163,7 @@ def train_agents(
         checkpoint.check_all(missing)
         if on == "here":  # else some of these wait for their turn
             check_trainable(trainings)
-        if plan.speed and on == "here":
+        if plan.speed and on == "here" and plan.config.device == "cpu":
             tested = {run for name in plan.agents for run in runs[name]}  # others are soon trained
             slow = {run: one for run, one in todo.items() if run in tested}
             print(expected(slow, plan.speed, workers), file=sys.stderr, flush=True)

@@ -25,7 +25,7 @@ from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
 from astray.report.findings import Findings
 from astray.report.page import COMPUTED
-from astray.training.config import PRESETS, SOLVER, Config, Named
+from astray.training.config import PRESETS, SOLVER, Config, Device, Named
 from astray.validation import MOST, bounded, of_kind, shown
 from astray.world import World
 
@@ -36,6 +36,7 @@ Size = Literal["smoke", "pixels", "night", "hour", "paper", "published"]
 SIZES: tuple[Size, ...] = get_args(Size)
 SPREADS = 0.03, 0.15  # standard deviations between agents: all learn alike, and they do not
 OWN_LEVELS = 1_000_000  # the first level of tests of `own` agents, which they should not know
+FEEDING = 4  # threads of the environments of a training on a GPU, which waits for them
 PUBLISHED: Size = "published"  # of agents that others trained: nothing is trained
 Place = Literal["here", "ray"]  # where agents are trained
 Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each name
@@ -199,6 +200,24 @@ class Plan:
             config.find_game().drawn(art)
         agents = {name: replace(config, art=art) for name, config in self.agents.items()}
         return replace(self, agents=agents)
+
+    def trained_on(self, device: Device | None) -> Plan:
+        """Return the plan with all trainings on a device; None: as the settings say.
+
+        Raises:
+            ValueError: If nothing is trained here.
+        """
+        if device is None:
+            return self
+        if self.published or self.own:
+            raise ValueError(f"device is for agents that are trained here; got {device!r}")
+        settings: dict[str, Any] = {"device": device, "threads": 1 if device == "cpu" else FEEDING}
+        agents = {name: replace(config, **settings) for name, config in self.agents.items()}
+        teachers = {
+            name: replace(teacher, **settings) if isinstance(teacher, Config) else teacher
+            for name, teacher in self.teachers.items()
+        }
+        return replace(self, agents=agents, teachers=teachers)
 
     def trainings(self) -> dict[str, list[Config]]:
         """Return the settings of all agents that are trained here, also to teach alone."""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 else:
     Named = str
 SOLVER = "solver"  # the teacher that is no agent
+Device = Literal["cpu", "cuda", "mps"]
 Tracking = Literal["wandb", "trackio"]  # where else a training's metrics go
 RECORDS = {"sampler": Sampling, "fast": Fast}  # settings that hold several
 
@@ -113,7 +114,7 @@ class Config:
 
     validation_every: int = 10  # Number of iterations between validations.
     checkpoint_every: int = 50  # Number of iterations between checkpoints.
-    device: Literal["cpu", "cuda", "mps"] = "cpu"  # Device of the network.
+    device: Device = "cpu"  # Device of the network.
     threads: int = 1  # Number of threads for environments and, on a CPU, for torch.
 
     fast: Fast = Fast()  # Acceleration.
