@@ -106,6 +106,18 @@ def test_the_runners_of_a_night_have_teachers_of_their_coins_and_seeds():
             assert pupil.teacher == name_of_run(teacher) and teacher.observation == "symbolic"
 
 
+def test_a_study_is_trained_on_another_device_as_the_same_agents():
+    for name in NAMES:
+        plan = catalogue.load(name).sizes["night"]
+        there, here = replace(plan, device="cuda").trainings(), plan.trainings()
+        for kind, made in there.items():
+            assert {(one.device, one.threads) for one in made} == {("cuda", 4)}
+            assert [*map(name_of_run, made)] == [*map(name_of_run, here[kind])]
+    published = catalogue.load("maze-corner").sizes["published"]
+    with pytest.raises(ValueError, match="for agents that are trained here; got 'cuda'"):
+        replace(published, device="cuda")
+
+
 def test_the_hours_are_told_before_the_first_training_begins(tmp_path, monkeypatch, capsys):
     def stopped(*_):
         assert "hours with" in capsys.readouterr().err

@@ -18,6 +18,7 @@ from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.log import METRICS
 from astray.training.loop import train
+from helpers.checkpoints import forge
 from helpers.killed import CONFIG
 from helpers.processes import begin
 
@@ -91,15 +92,6 @@ def test_a_checkpoint_that_is_cut_at_any_byte_is_refused(run, name):
     with pytest.raises(ValueError, match=name):
         train(replace(SHORT), run, progress=False)
     assert files(run) == before
-
-
-def forge(path, **changes):
-    """Write a checkpoint's file anew with another header, or other tensors."""
-    data = path.read_bytes()
-    size = 8 + int.from_bytes(data[:8], "little")
-    told = json.loads(json.loads(data[8:size])["__metadata__"]["astray"])
-    tensors = load_file(path) | changes.pop("tensors", {})
-    save_file(tensors, path, {"astray": json.dumps(told | changes)})
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,11 @@ import torch
 from astray.training import checkpoint, parallel
 from astray.training.fast import acceleration
 from astray.training.fast.acceleration import resolve
-from astray.training.loop import collect, train, update
+from astray.training.loop import collect, iterate, train, update
 from astray.training.trainer import Trainer
 from benchmarks import profile
 from benchmarks import train as bench
+from helpers.checkpoints import forge
 from helpers.fake_cuda import cuda
 from helpers.trainings import OFF, PICTURES, PLAIN, digest
 
@@ -77,6 +78,31 @@ def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeyp
         train(config, tmp_path / "parts", progress=False)
     assert len(pretended.graphs) == 2 * len(one) == 4
     assert digest(tmp_path / "parts") == digest(tmp_path / "whole")
+
+
+def test_a_training_goes_on_on_another_device_and_with_other_threads(tmp_path, monkeypatch):
+    config = PLAIN.changed(device="cuda", steps=4 * PLAIN.batch, threads=2)
+    with cuda(monkeypatch):
+        for iteration in iterate(config, tmp_path):
+            if iteration.number == 2:
+                break
+    there = checkpoint.latest(tmp_path) / checkpoint.TRAINER
+    states = [f"{player}.generator" for player in iteration.trainer.players()]
+    cut = dict.fromkeys(states, np.zeros(16, np.uint8))  # as large as those of a GPU
+    forge(there, tensors=cut)
+    refused = shutil.copytree(tmp_path, tmp_path / "another")
+    with pytest.raises(ValueError, match="other settings: steps is"):
+        train(replace(config, device="cpu", steps=5 * PLAIN.batch), refused, progress=False)
+    with cuda(monkeypatch), pytest.raises(ValueError, match=r"generator must be torch\.uint8"):
+        train(config, refused, progress=False)
+    moved = Trainer(replace(config, device="cpu", threads=1))
+    checkpoint.restore(tmp_path, moved)
+    assert moved.steps == 2 * PLAIN.batch
+    begins = {name: Trainer(moved.config).tensors()[name] for name in states}
+    random = [moved.tensors()[name] for name in states]
+    assert not any(torch.equal(begins[name], x) for name, x in zip(states, random, strict=True))
+    train(moved.config, tmp_path, progress=False)
+    assert checkpoint.finished(tmp_path, config) and checkpoint.finished(tmp_path, moved.config)
 
 
 @pytest.mark.parametrize("fails", [False, True])

@@ -73,8 +73,8 @@ def reproduce(
             `agents` is shared by all. On a cluster all nodes must see it.
         workers: Number of agents trained at once here; None for one per processor.
         on: Place of the trainings; evaluation happens here.
-        device: Device of the trainings; None for that of their settings, a CPU in all sizes but
-            hour and paper. With another the report's folder is <name>-<size>-<device>.
+        device: Device of the trainings, which may go on on another; None for that of their
+            settings, a CPU in all sizes but hour and paper.
         art: Art of all images; with original art the report's folder is <name>-<size>-<art>.
         track: External tracker of trainings and report: wandb or trackio.
 
@@ -83,10 +83,9 @@ def reproduce(
         OSError: If the report's folder holds files that astray did not write.
     """
     name, whole = sized(experiment, size)
-    plan = whole.sizes[size].drawn_with(art).trained_on(device)
-    chosen = {"device": device, "art": None if art == OWN else art}
-    options = {option: value for option, value in chosen.items() if value}
-    folder = root / "-".join((name, size, *options.values()))
+    plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
+    plan = replace(plan, device=device)
+    folder = root / f"{name}-{size}{ending}"
     whole.check_installed()
     if track:
         check_installed(track)
@@ -100,12 +99,7 @@ def reproduce(
         question=whole.question,
         differences=plan.differences,
         command=whole.command
-        or " ".join(
-            (
-                f"astray reproduce {given} --size {size}",
-                *(f"--{option} {value}" for option, value in options.items()),
-            )
-        ),
+        or f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
     )
     # Results of agents of others stand beside those of agents trained here.
     beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
@@ -163,7 +157,7 @@ def train_agents(
         checkpoint.check_all(missing)
         if on == "here":  # else some of these wait for their turn
             check_trainable(trainings)
-        if plan.speed and on == "here" and plan.config.device == "cpu":
+        if plan.speed and on == "here" and plan.device in (None, "cpu"):
             tested = {run for name in plan.agents for run in runs[name]}  # others are soon trained
             slow = {run: one for run, one in todo.items() if run in tested}
             print(expected(slow, plan.speed, workers), file=sys.stderr, flush=True)
@@ -298,7 +292,7 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
     study = [module for module in loaded if module.EXPERIMENT is whole]
     code = (whole.find, study) if whole else ()
     data = {
-        "configs": {n: [c.to_json() for c in made] for n, made in plan.trainings().items()},
+        "configs": {n: [c.what() for c in made] for n, made in plan.trainings().items()},
         "agents": {
             n: [agent_digest(run, n in plan.own) for run in made] for n, made in runs.items()
         },

@@ -25,7 +25,7 @@ from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
 from astray.report.findings import Findings
 from astray.report.page import COMPUTED
-from astray.training.config import PRESETS, SOLVER, Config, Device, Named
+from astray.training.config import HOW, PRESETS, SOLVER, Config, Device, Named
 from astray.validation import MOST, bounded, of_kind, shown
 from astray.world import World
 
@@ -106,6 +106,7 @@ class Plan:
     measures: Mapping[str, Measure] = field(default_factory=dict)  # of an episode's last state
     rewards: Mapping[str, Reward] = field(default_factory=dict)  # further ones, of all episodes
     longest: int | None = None  # steps after which an episode is truncated; None for no limit
+    device: Device | None = None  # of all trainings; None: as their settings say
     speed: int = 0  # environment steps that a core trains with in a second, as measured; 0: unknown
 
     def __post_init__(self) -> None:
@@ -126,6 +127,8 @@ class Plan:
             (len(config.unseen_levels) for config in self.agents.values()), default=math.inf
         )
         bounded("levels", self.levels, 1, fewest)
+        if self.device and (self.published or self.own):
+            raise ValueError(f"device is for agents that are trained here; got {self.device!r}")
         if self.own and self.first_level is None:
             object.__setattr__(self, "first_level", OWN_LEVELS)
         if self.first_level is not None:
@@ -201,26 +204,11 @@ class Plan:
         agents = {name: replace(config, art=art) for name, config in self.agents.items()}
         return replace(self, agents=agents)
 
-    def trained_on(self, device: Device | None) -> Plan:
-        """Return the plan with all trainings on a device; None: as the settings say.
-
-        Raises:
-            ValueError: If nothing is trained here.
-        """
-        if device is None:
-            return self
-        if self.published or self.own:
-            raise ValueError(f"device is for agents that are trained here; got {device!r}")
-        settings: dict[str, Any] = {"device": device, "threads": 1 if device == "cpu" else FEEDING}
-        agents = {name: replace(config, **settings) for name, config in self.agents.items()}
-        teachers = {
-            name: replace(teacher, **settings) if isinstance(teacher, Config) else teacher
-            for name, teacher in self.teachers.items()
-        }
-        return replace(self, agents=agents, teachers=teachers)
-
     def trainings(self) -> dict[str, list[Config]]:
         """Return the settings of all agents that are trained here, also to teach alone."""
+        how: dict[str, Any] = {}
+        if self.device:
+            how = {"device": self.device, "threads": 1 if self.device == "cpu" else FEEDING}
         only_teach = {
             self.called(student): config
             for student, config in self.teachers.items()
@@ -228,7 +216,7 @@ class Plan:
         }
         return {
             name: [
-                replace(config, seed=seed, teacher=self.teacher_of(name, seed))
+                replace(config, seed=seed, teacher=self.teacher_of(name, seed), **how)
                 for seed in (config.seed + self.first_seed + k for k in range(self.seeds))
             ]
             for name, config in {**self.agents, **only_teach}.items()
@@ -269,7 +257,8 @@ def open_agents(plan: Plan, runs: Runs) -> dict[str, list[Agent | Loaded]]:
 def name_of_run(config: Config) -> str:
     """Return the name of a training with these settings, equal in all experiments."""
     usual = PRESETS["paper"].flat()  # left out, so that a new setting changes no name
-    settings = {k: v for k, v in config.flat().items() if k != "seed" and v != usual[k]}
+    chosen = {name: config.flat()[name] for name in usual.keys() - {"seed", *HOW}}
+    settings = {name: value for name, value in chosen.items() if value != usual[name]}
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
     return f"{config.game}-{config.variant}-{digest}/seed-{config.seed}"
 

@@ -117,7 +117,7 @@ def check_all(runs: Mapping[Path, Config]) -> None:
 
 def _compare(there: Config, here: Config, what: str) -> None:
     """Raise ValueError if two trainings would differ."""
-    one, two = (json.loads(json.dumps(c.to_json())) for c in (there, here))
+    one, two = (json.loads(json.dumps(c.what())) for c in (there, here))
     differ = [f"{n} is {one[n]!r} there, {two[n]!r} here" for n in two if one[n] != two[n]]
     if differ:
         raise ValueError(f"{what}: {', '.join(differ)}")
@@ -161,7 +161,11 @@ def restore(folder: Path, trainer: Trainer) -> None:
         data = read(path / TRAINER)
         tensors = from_bytes(data)
         header = policy.read_header(_metadata(data), config.game)
-        _compare(Config.from_json(header["config"]), config, "it is of another run")
+        saved = Config.from_json(header["config"])
+        _compare(saved, config, "it is of another run")
+        if saved.device != config.device:  # which has no use for the other's random states
+            for name, player in trainer.players().items():
+                tensors[f"{name}.generator"] = player.reseeded(int(path.name))
         trainer.restore(tensors)
         if path.name != f"{trainer.steps}":
             raise ValueError(f"it is of step {trainer.steps}")

@@ -28,6 +28,7 @@ else:
 SOLVER = "solver"  # the teacher that is no agent
 Device = Literal["cpu", "cuda", "mps"]
 Tracking = Literal["wandb", "trackio"]  # where else a training's metrics go
+HOW = ("device", "threads")  # settings of a training that may change while it goes on
 RECORDS = {"sampler": Sampling, "fast": Fast}  # settings that hold several
 
 
@@ -322,6 +323,10 @@ class Config:
             else:
                 found[one.name] = dict(value) if one.name == "knobs" else value
         return found
+
+    def what(self) -> dict[str, Any]:
+        """Return all that a training is known by: the settings except device and threads."""
+        return {name: value for name, value in self.to_json().items() if name not in HOW}
 
     def changed(self, **settings: Any) -> Config:
         """Return the settings with some changed, by their names in `flat`.

@@ -79,12 +79,12 @@ class Player:
             dtype=torch.uint8 if self.space.dtype == np.uint8 else torch.float32,
             pin_memory=config.device == "cuda",
         )
+        self.device, self.seed = config.device, config.seed * 16 + salt
         # Seeds far apart: environment i of a batch seeded with k is seeded with k + i.
-        seed = (config.seed * 16 + salt) * 2**32 + self.here.start
+        first = self.seed * 2**32 + self.here.start
         for env, group in zip(self.envs, self.groups, strict=True):
-            self.images[group] = torch.from_numpy(env.reset(seed=seed + group.start)[0])
-        self.device = config.device
-        self.generator = torch.Generator(config.device).manual_seed(config.seed * 16 + salt)
+            self.images[group] = torch.from_numpy(env.reset(seed=first + group.start)[0])
+        self.generator = torch.Generator(config.device).manual_seed(self.seed)
         self.normaliser = RewardNormaliser(config.num_envs, config.reward_gamma)
         self.running_return, self.begins = np.zeros(n), np.ones(n, bool)
         self.events = tuple(self.game.events)
@@ -234,6 +234,11 @@ class Player:
         for name, value in told.items():
             finite(f"{name} of a sampler's summary", value)
         return {str(name): float(value) for name, value in told.items()}
+
+    def reseeded(self, steps: int) -> Tensor:
+        """Return a random state for after so many steps, where none was saved on this device."""
+        seed = int(np.random.SeedSequence((self.seed, steps)).generate_state(1)[0])
+        return torch.Generator(self.device).manual_seed(seed).get_state()
 
     def _sampler_arrays(self) -> dict[str, np.ndarray]:
         """Return the sampler's state; empty without one."""
