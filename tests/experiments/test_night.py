@@ -113,7 +113,7 @@ def test_a_study_is_trained_on_another_device_as_the_same_agents():
         for kind, made in there.items():
             assert {(one.device, one.threads) for one in made} == {("cuda", 4)}
             assert [*map(name_of_run, made)] == [*map(name_of_run, here[kind])]
-    published = catalogue.load("maze-corner").sizes["published"]
+    published = catalogue.load("moved-coin").sizes["published"]
     with pytest.raises(ValueError, match="for agents that are trained here; got 'cuda'"):
         replace(published, device="cuda")
 
