@@ -136,15 +136,54 @@ def test_the_lab_opens_where_a_runner_passes_the_coin():
     assert why == f"Level {number} was chosen: the agent reaches “end” first here."
 
 
+def test_no_tiny_level_is_chosen_while_a_larger_one_shows_the_goal():
+    maze, mouse = games.find("maze"), load_agent("maze-corner")
+    variant, shift = maze.variant("anywhere-small"), maze.shifts["corner-small"]
+    number, why = typical(maze, variant, shift, mouse, 100_000)
+    some = [number, *distinguishing(maze, variant, shift, range(100_000, 100_050))]
+    begun = initial_states(maze, variant, some).view(np.recarray)
+    size = [maze.places.stand(s).sum() for s in begun]
+    assert size[0] == max(size) > 2 * min(size)  # in level 100027 the mouse has 8 cells
+    (played,) = evaluate(mouse, maze, variant, [number]).to_dicts()
+    assert played["reached_corner"] >= TELLING and why.endswith("; no level tried is larger.")
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "event", "steps"),
+    [
+        ("lava-dry", "No level distinguishes goals, as “cheese” has no proxy.", "reached_lava", 2),
+        (
+            "bridge-middle",
+            "No level distinguishes goals, as “goal” has no proxy.",
+            "burnt",
+            TELLING,
+        ),
+        ("boat-race", "No level distinguishes “rounds” and “to and fro”, as only the", None, 0),
+        ("trees-life", "“forest”, as only the end of an episode shows", "bare", TELLING),
+        ("monsters-short", "In 8 levels the agent did not come to “more shields”.", None, 0),
+    ],
+)
+def test_it_is_said_why_no_level_distinguishes_the_goals(name, said, event, steps):
+    agent, config = open_run(folders.find(name))
+    game = config.find_game()
+    shift = next(iter(game.shifts.values()))
+    number, why = typical(game, game.variant(shift.test), shift, agent)
+    assert said in why
+    if event:
+        (played,) = evaluate(agent, game, shift.test, [number]).to_dicts()
+        assert played[event] >= steps and f"Level {number} was chosen: the agent " in why
+
+
 def test_a_level_is_found_where_goals_are_counts_that_the_end_tells():
     gardens, gardener = games.find("tomatoes"), load_agent("tomatoes-bucket")
     shift = gardens.shifts["bucket"]
     bucket = gardens.variant("bucket")
     assert distinguishing(gardens, bucket, shift, range(3)) is None  # nobody walks to a count
-    found, _ = typical(gardens, bucket, shift, gardener)
+    found, why = typical(gardens, bucket, shift, gardener)
     (played,) = evaluate(gardener, gardens, "bucket", [found]).to_dicts()
     assert played["length"] >= TELLING
     assert played["steps in the bucket"] > played["tomatoes watered"]
+    assert why.endswith(f"Level {found} was chosen: the agent comes to “more hiding” here.")
 
 
 def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monkeypatch):

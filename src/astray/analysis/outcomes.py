@@ -80,7 +80,7 @@ def label(episodes: pl.DataFrame, game: Goals, shift: Shift) -> pl.DataFrame:
     proxy = pl.min_horizontal(pl.lit(None, pl.Int64), *(_step(game, g) for g in shift.proxies))
     never = np.iinfo(np.int64).max
     pursued = [game.goals[goal] for goal in (shift.intended, *shift.proxies)]
-    ends = {name: _reached(end) for name, end in game.ends.items() if end not in pursued}
+    ends = {name: reached(end) for name, end in game.ends.items() if end not in pursued}
     first, otherwise = pl.min_horizontal(ends.values()) if ends else None, pl.lit(FAILED)
     for name, step in reversed(ends.items()):
         otherwise = pl.when(step == first).then(pl.lit(name)).otherwise(otherwise)
@@ -96,10 +96,10 @@ def label(episodes: pl.DataFrame, game: Goals, shift: Shift) -> pl.DataFrame:
 
 def _step(game: Goals, goal: str) -> pl.Expr:
     one_of("goal", goal, game.goals)
-    return _reached(game.goals[goal])
+    return reached(game.goals[goal])
 
 
-def _reached(outcome: Outcome) -> pl.Expr:
+def reached(outcome: Outcome) -> pl.Expr:
     """Return the step in which an episode reached a goal or an end; null if it did not."""
     match outcome:
         case Never(event):

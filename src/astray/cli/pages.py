@@ -45,7 +45,7 @@ def explain(
 
     The page shows policy and value at every place, the effects of edits to the level, the parts
     that the value depends on, probes of the layers, the evidence for each goal, and the episode
-    step by step. By default the level is the first unseen one that distinguishes the goals. For a
+    step by step. By default the level is a large unseen one that distinguishes the goals. For a
     policy without a network, the parts that need one say so.
 
     Example: astray explain maze-corner
@@ -77,10 +77,10 @@ def explain(
     check_writable(out / PAGE)
     rehearse([policy], game, levels, [0])
     unseen = config.unseen_levels if config else range(MOST_LEVELS + 2)
-    number = level.find(game, levels)
+    number, why = level.find(game, levels), ""
     if number is None:
         first, shift = int(unseen[0]), load_shift(game, named)
-        number, _ = typical(game, levels, shift, agent, first)
+        number, why = typical(game, levels, shift, agent, first)
     if not isinstance(number, Level):
         drawn = Level.of(game, levels, initial_states(game, levels, [number])[0])
         where, given = f"{name} level {number}", f"--level {number}"
@@ -89,7 +89,8 @@ def explain(
         given = f"--level-file {command_of(str(level.level_file))}"
     # Probes do not learn from the level that they read.
     after = [one for one in unseen[1 : num_levels + 2] if one != number][:num_levels]
-    told: dict[str, Any] = {"lab": f"astray lab {player.words} --variant {name} {given}"}
+    opens = f"astray lab {player.words} --variant {name} {given}"
+    told: dict[str, Any] = {"lab": opens, "why": why}
     if config and isinstance(agent, Agent):
         deviation = AgentFolder.of(agent.path).deviation()
         told |= {"gamma": config.gamma, "lam": config.lam, "deviation": deviation}

@@ -51,6 +51,7 @@ class Asked:
         gamma, lam: Discount and lambda of its training, for advantages.
         deviation: Reward-normalisation scale of its training.
         lab: Command that opens the level in the lab.
+        why: Sentence on the choice of the level, if it was chosen.
     """
 
     agent: Model | Opaque
@@ -63,6 +64,7 @@ class Asked:
     lam: float = episode.LAMBDA
     deviation: float | None = None
     lab: str = ""
+    why: str = ""
 
     @property
     def between(self) -> Shift:
@@ -116,7 +118,7 @@ def explain(asked: Asked, folder: Path, heading: str, progress: bool = False) ->
     tables |= {plot.name: plot.data for plot in plots if plot.data is not None}
     about = "Figures and tables lie beside this page. The level, for `--level-file`:"
     last = Section("How to go on", [about, Code(asked.level)])
-    answer = f"{_verdict(asked)} {asked.agent.caveat}".strip()
+    answer = " ".join(filter(None, (_verdict(asked), asked.agent.caveat, asked.why)))
     with files_aside(folder, PAGE, SIGN) as aside:
         for plot in plots:
             save(plot.figure, aside, plot.name)

@@ -2,22 +2,24 @@
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from astray.acting import Levels, Policy, steps
+from astray.acting import Levels, Policy, initial_states
 from astray.agency import measure
 from astray.agency.gridworld import World as Gridworld
 from astray.agency.measure import CALIBRATED
 from astray.agency.online import Growth, measure_online
 from astray.analysis.agency import named_places
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import reached
 from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import play_all
 from astray.envs.vector import quickest
-from astray.game import Game, Shift, Variant
+from astray.game import Game, Outcome, Shift, Variant
 from astray.lab.agents import Shown, rounded
 from astray.lab.messages import LONGEST
 from astray.lab.worlds import Episode, World
@@ -30,7 +32,7 @@ PLACES = 400  # at most, that a thing is put to
 TELLING = 5  # steps to a goal; the posterior of shorter ways tells goals hardly apart
 FIRST_FEW = 50  # levels among which one that distinguishes the goals is looked for
 AT_SIGHT = 8  # levels among which one is looked for where it is not known whether they do
-SOON = 48  # steps in which the agent reaches a goal there
+SOON, LATE = 48, 200  # steps in which the agent reaches a goal there; LATE if it is a count
 BETA = CALIBRATED.beta  # of the prior of how often an agent errs
 TOGETHER = 16  # places that are played at once: a level's draws depend on which of them it is
 
@@ -81,24 +83,54 @@ def distinguishing(game: Game, variant: Variant, shift: Shift, levels: Levels) -
 def typical(
     game: Game, variant: Variant, shift: Shift, agent: Policy, first: int = 0
 ) -> tuple[int, str]:
-    """Return the level in which the agent shows its usual goal soonest, and why it was chosen.
+    """Return a large level in which the agent soon shows its usual goal, and why it was chosen.
 
     The usual goal is reached first in most levels that distinguish the goals; where they are not
-    known, it is a proxy. At least `TELLING` steps lead to it, if possible.
+    known, it is a proxy, or without one another end. At least `TELLING` steps lead to it, if
+    possible.
     """
     known = distinguishing(game, variant, shift, range(first, first + FIRST_FEW))
     levels = known or range(first, first + AT_SIGHT)
-    played = dict(zip(levels, _outcomes(agent, game, variant, levels, shift, SOON), strict=True))
-    pursued = (*shift.proxies, *([shift.intended] if known else []))
+    instead = {goal: game.goals[goal] for goal in shift.proxies} or dict(game.ends)
+    ends = {shift.intended: game.goals[shift.intended]} | instead
+    late = [name for name, end in ends.items() if not isinstance(end, str)]
+    first_ends = _outcomes(agent, game, variant, levels, ends, LATE if late else SOON)
+    played = dict(zip(levels, first_ends, strict=True))
+    pursued = (*instead, *([shift.intended] if known else []))
     shown = Counter(goal for goal, _ in played.values() if goal in pursued)
+    said = ""
+    if not shift.proxies:
+        said = f"No level distinguishes goals, as “{shift.intended}” has no proxy. "
+    elif late:
+        listed = " and ".join(f"“{goal}”" for goal in late)
+        said = f"No level distinguishes {listed}, as only the end of an episode shows them. "
     if not shown:
-        return levels[0], ""
+        listed = " or ".join(f"“{goal}”" for goal in pursued) or "another end"
+        return levels[0], f"{said}In {len(levels)} levels the agent did not come to {listed}."
     usual, count = shown.most_common(1)[0]
     found = {n: time for n, (goal, time) in played.items() if goal == usual}
-    chosen = min(found, key=lambda n: (found[n] < TELLING, found[n]))
+    begun = initial_states(game, variant, levels).view(np.recarray)
+    size = {s.level: game.places.stand(s).sum() for s in begun if game.places}
+    chosen = min(found, key=lambda n: (-min(found[n], TELLING), -size.get(n, 0), found[n]))
+    does = f"reaches “{usual}” first" if usual in game.event_goals else f"comes to “{usual}”"
     usually = known and 2 * count > len(known)
     most = ", as in most levels that distinguish the goals" if usually else ""
-    return chosen, f"Level {chosen} was chosen: the agent reaches “{usual}” first here{most}."
+    largest = [n for n in size if size[n] == max(size.values())]
+    large = "; no level tried is larger" if chosen in largest != [*size] else ""
+    return chosen, f"{said}Level {chosen} was chosen: the agent {does} here{most}{large}."
+
+
+def _outcomes(
+    agent: Policy, game: Game, variant: Variant, levels: Levels, ends: Mapping[str, Outcome],
+    longest: int | None = None,
+) -> list[tuple[str, int]]:  # fmt: skip
+    """Return the first of `ends` in each episode, and its number of steps until then."""
+    events = [end for end in ends.values() if isinstance(end, str)]
+    until = events if len(events) == len(ends) else []
+    played = evaluate(agent, game, variant, levels, until=until, longest=longest)
+    rows = played.select("length", **{name: reached(end) for name, end in ends.items()}).to_dicts()
+    times = [{name: row[name] for name in ends if row[name] is not None} for row in rows]
+    return [min(row.items(), key=lambda one: one[1], default=(NEITHER, 0)) for row in times]
 
 
 def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[str, Any]:
@@ -130,14 +162,14 @@ def splay(
     levels = world.level.splay(thing, at)
     if len(levels) > PLACES:
         raise ValueError(f"a splay is of at most {PLACES} places; here are {len(levels)}")
-    first, of = agent.seed, len(levels)
+    first, of, events = agent.seed, len(levels), world.game.events_of(shift)
     for begin in range(0, of, TOGETHER):
         some = levels[begin : begin + TOGETHER]
         outcomes = [dict[str, int]() for _ in some]
         for draw in range(draws):
             agent.seed = first + draw
             named = {str(k): level for k, level in enumerate(some)}
-            played = _outcomes(agent, world.game, world.variant, named, shift, None)
+            played = _outcomes(agent, world.game, world.variant, named, events)
             for k, (outcome, _) in enumerate(played):
                 outcomes[k][outcome] = outcomes[k].get(outcome, 0) + 1
         where = [
@@ -151,26 +183,6 @@ def _place(level: Level, thing: str, at: tuple[int, int] | None, world: World) -
     there = {*level.where(thing)}
     new = there - {*world.level.where(thing)}
     return min(new) if new else at or min(there)
-
-
-def _outcomes(
-    agent: Policy, game: Game, variant: Variant, levels: Levels, shift: Shift, longest: int | None
-) -> list[tuple[str, int]]:
-    """Return the goal that each episode reaches first, and its number of steps until then."""
-    outcomes = [(NEITHER, 0)] * len(levels)
-    events = [*game.events_of(shift).values()]
-    for step in steps(agent, game, variant, levels, until=events, longest=longest):
-        for k, s in zip(step.level[step.ended], step.after[step.ended], strict=True):
-            outcomes[k] = first_goal(s, game, shift), int(s["time"])
-    return outcomes
-
-
-def first_goal(s: Any, game: Game, shift: Shift) -> str:
-    """Return the goal reached first in state `s`; the intended one in case of a tie."""
-    reached = {
-        goal: int(s[event]) for goal, event in game.events_of(shift).items() if s[event] != NEVER
-    }
-    return min(reached, key=lambda goal: reached[goal]) if reached else NEITHER
 
 
 def route(episode: Episode, goal: str) -> dict[str, Any]:
