@@ -4,14 +4,13 @@ Its training had no level of this number. The frame is dark, so that it fits pag
 """
 
 from pathlib import Path
-from unittest.mock import patch
 
 import astray
 from astray.analysis import video
 
 LEVEL, LONGEST, PIXELS, FPS = 100_055, 16, 288, 4
-MAZES = {"corner-small": "in training", "anywhere-small": "in a test"}
 DARK, LIGHT = (27, 32, 40), (235, 237, 240)
+MAZES = {"corner-small": "in training", "anywhere-small": "in a test"}
 
 
 def main() -> None:
@@ -19,8 +18,7 @@ def main() -> None:
     mouse = astray.load_agent("maze-corner")
     how = {"pixels": PIXELS, "longest": LONGEST}
     mazes = [video.play(mouse, "maze", maze, LEVEL, **how).frames for maze in MAZES]
-    with patch.object(video, "BACKGROUND", DARK), patch.object(video, "INK", LIGHT):
-        frames = video.beside(*mazes, captions=[*MAZES.values()])
+    frames = video.beside(*mazes, captions=[*MAZES.values()], background=DARK, ink=LIGHT)
     held = [*range(len(frames)), *[len(frames) - 1] * (2 * FPS)]  # two seconds at the end
     video.write_gif(frames[held], Path(__file__).parent / "maze-corner.gif", FPS)
 

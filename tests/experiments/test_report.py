@@ -21,7 +21,7 @@ from astray.files import aside_of
 from astray.games.maze.solve import steps_to
 from astray.report import page as report
 from astray.report.claims import Claim
-from astray.report.findings import Findings, Heading, Plot, Table, Video
+from astray.report.findings import Code, Findings, Heading, Plot, Section, Table, Video
 from astray.report.learning import learning_curves
 from helpers.browsed import violations
 
@@ -151,6 +151,13 @@ def test_the_shorter_video_holds_its_last_frame(frames):
     captions = both[:, : -H - 4, right]
     assert np.array_equal(captions[2], captions[T - 1])
     assert not np.array_equal(captions[1], captions[2])
+
+
+def test_captions_have_the_colours_that_are_given(frames):
+    dark, light = (27, 32, 40), (235, 237, 240)
+    one = video.beside(frames[:1], captions=["a"], gap=4, background=dark, ink=light)[0]
+    assert (one[-1] == dark).all() and (one[0, 0] == dark).all()
+    assert (one[: -H - 4] == light).all(-1).any(), "the letter"
 
 
 def test_the_interval_is_drawn_where_the_rate_is(tmp_path):
@@ -328,6 +335,25 @@ def test_no_line_of_code_ends_within_an_option_or_a_name():
     assert report.coded("In `lab maze-corner --level 5`") == f"In {said}"
     assert report.code("python -m http") == "<code>python <span>-m</span> http</code>"
     assert report.code("#-<#--") == "<code>#-&lt;#--</code>"  # a drawing
+
+
+def test_rows_of_a_drawn_level_stay_whole_and_scroll_while_commands_are_broken(chrome, tmp_path):
+    level, command = "\n".join(["#" * 64] * 9), "astray explain " + "corner " * 20
+    sections = [Section("", [Code(level), Code(command)])]
+    report.write_page(tmp_path / "page.html", "a level", sections, figures=tmp_path)
+    context = chrome.new_context(viewport={"width": 420, "height": 900})
+    page = context.new_page()
+    page.goto((tmp_path / "page.html").as_uri())
+    lines = """(all) => all.map((one) => {
+      const range = document.createRange();
+      range.selectNodeContents(one.firstChild);
+      return new Set([...range.getClientRects()].map(({ top }) => Math.round(top))).size;
+    })"""
+    drawn, broken = page.eval_on_selector_all("pre", lines)
+    assert drawn == 9 and broken > 3
+    assert page.evaluate("document.documentElement.scrollWidth") <= 420
+    assert violations(page) == []
+    context.close()
 
 
 def test_agents_are_named_among_the_scripts_and_short_cells_stay_whole(told, tmp_path):

@@ -12,7 +12,7 @@ from PIL import Image
 from scipy.special import softmax
 
 from astray import games
-from astray.acting import Policy, initial_states, steps
+from astray.acting import Levels, Policy, initial_states, steps
 from astray.agency.gridworld import Cell
 from astray.agency.gridworld import World as Gridworld
 from astray.agency.measure import CALIBRATED, PRESETS, Episode, Options, decisions, measure_named
@@ -56,7 +56,7 @@ def play(
     policy: Policy,
     game: str | Game | World,
     variant: Variant | WorldVariant,
-    levels: Sequence[int] | np.ndarray,
+    levels: Levels,
     shift: Shift,
     batch: int = 256,
 ) -> list[Played]:

@@ -1,5 +1,6 @@
 """Videos of episodes, alone and side by side, as MP4 and GIF."""
 
+import functools
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,6 +29,7 @@ LARGEST = 2**32  # bytes of an episode's frames
 FPS = 15  # frames, and so steps of an episode, a second
 
 Caption = str | Callable[[int], str]  # or a function of the step
+Colour = tuple[int, int, int]  # red, green, blue
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +134,10 @@ def _joined(parts: Sequence[Any]) -> Any:
     return np.concatenate(parts)
 
 
-def beside(*videos: np.ndarray, captions: Sequence[Caption], gap: int = 12) -> np.ndarray:
+def beside(
+    *videos: np.ndarray, captions: Sequence[Caption], gap: int = 12,
+    background: Colour = BACKGROUND, ink: Colour = INK,
+) -> np.ndarray:  # fmt: skip
     """Join videos side by side with captions; shorter ones hold their last frame.
 
     Captions are above the videos, because players put their controls at the bottom.
@@ -141,6 +146,7 @@ def beside(*videos: np.ndarray, captions: Sequence[Caption], gap: int = 12) -> n
         videos: Each [T, H, W, 3] uint8, of any length and size.
         captions: For each video a text, or a function from frame number to text.
         gap: Pixels between the videos and around them.
+        background: Colour around the videos; `ink` is that of the captions.
 
     Returns:
         [T, H, W, 3] uint8, with T of the longest video.
@@ -150,31 +156,30 @@ def beside(*videos: np.ndarray, captions: Sequence[Caption], gap: int = 12) -> n
     """
     if not videos or len(videos) != len(captions):
         raise ValueError(f"{len(videos)} videos and {len(captions)} captions; one for each")
-    texts = [_texts(caption, video) for caption, video in zip(captions, videos, strict=True)]
+    texts = [
+        [_wrapped(one(k) if callable(one) else one, video.shape[2]) for k in range(len(video))]
+        for one, video in zip(captions, videos, strict=True)
+    ]
     lines = max(len(text) for column in texts for text in column)
     frames, tallest = max(len(video) for video in videos), max(v.shape[1] for v in videos)
     width = gap + sum(video.shape[2] + gap for video in videos)
     strip = gap // 2 + lines * LINE
     top = strip + gap // 4
-    canvas = np.full((frames, top + tallest + gap, width, 3), BACKGROUND, np.uint8)
+    canvas = np.full((frames, top + tallest + gap, width, 3), background, np.uint8)
     left = gap
     for video, column in zip(videos, texts, strict=True):
         here = slice(left, left + video.shape[2])
         held = np.minimum(np.arange(frames), len(video) - 1)
         canvas[:, top : top + video.shape[1], here] = video[held]
-        strips = {text: _strip(text, video.shape[2], strip) for text in set(column)}
+        strips = {
+            text: _strip(text, video.shape[2], strip, background, ink) for text in set(column)
+        }
         canvas[:, :strip, here] = [strips[column[k]] for k in held]
         left += video.shape[2] + gap
     return canvas
 
 
-def _texts(caption: Caption, video: np.ndarray) -> list[tuple[str, ...]]:
-    """Return the lines of the caption above each frame."""
-    if isinstance(caption, str):
-        return [_wrapped(caption, video.shape[2])] * len(video)
-    return [_wrapped(caption(step), video.shape[2]) for step in range(len(video))]
-
-
+@functools.cache
 def _wrapped(text: str, width: int) -> tuple[str, ...]:
     """Break `text` between words into lines of at most `width` pixels."""
     font = ImageFont.load_default(CAPTION)
@@ -188,13 +193,15 @@ def _wrapped(text: str, width: int) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _strip(lines: Sequence[str], width: int, height: int) -> np.ndarray:
-    """Draw text on the background, [height, width, 3] uint8."""
-    image = Image.new("RGB", (width, height), BACKGROUND)
+def _strip(
+    lines: Sequence[str], width: int, height: int, background: Colour, ink: Colour
+) -> np.ndarray:
+    """Draw text on a background, [height, width, 3] uint8."""
+    image = Image.new("RGB", (width, height), background)
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(CAPTION)
     first = height - len(lines) * LINE  # the last line lies on the video
     for k, line in enumerate(lines):  # at the left, so that numbers that change do not shake it
-        draw.text((0, first + (k + 0.5) * LINE), line, INK, font, anchor="lm")
+        draw.text((0, first + (k + 0.5) * LINE), line, ink, font, anchor="lm")
     return np.array(image)
 
 

@@ -190,6 +190,5 @@ def _videos(
     captions = [f"{name}: {ends[name]}" for name in players]
     path = folder / "videos" / "together.mp4"
     together = video.beside(*frames, captions=captions)
-    video.write_mp4(together, path, fps=8)
-    video.write_gif(together, path.with_suffix(".gif"), fps=8)
+    video.write(together, path, fps=8)
     return [Video(f"Level {level}: the first in which most of their outcomes differ.", path)]

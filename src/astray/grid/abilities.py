@@ -232,7 +232,9 @@ def scripted(world: World, s: Any, goal: str) -> int:
 def towards(world: World, s: Any, cells: Cells) -> int:
     """Return the action that leads to the nearest of `cells` around hazards, or "stay"."""
     here = int(s["x"]), int(s["y"])
-    free = _with(world.free(s), [*cells, here])
+    free = world.free(s)
+    for x, y in [*cells, here]:
+        free[y, x] = True
     away = distances(free, *here)
     near = [(int(away[y, x]), x, y) for x, y in cells if away[y, x] != UNREACHABLE]
     if not near or min(near)[0] == 0:
@@ -245,13 +247,6 @@ def towards(world: World, s: Any, cells: Cells) -> int:
         if inside and steps[y, x] == steps[here[1], here[0]] - 1 and steps[y, x] != UNREACHABLE:
             return action
     return STAY
-
-
-def _with(free: np.ndarray, cells: Cells) -> np.ndarray:
-    """Return the free cells with some more added."""
-    for x, y in cells:
-        free[y, x] = True
-    return free
 
 
 def where(layer: np.ndarray, *codes: int) -> list[tuple[int, int]]:

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -134,8 +133,7 @@ def explain(asked: Asked, folder: Path, heading: str, progress: bool = False) ->
 def _verdict(asked: Asked) -> str:
     """Tell which goal the agent reaches first, here and with an object anywhere else."""
     shift, level = asked.between, asked.level
-    levels: Mapping[str, Level] = {"level": level}
-    played = evaluate(asked.agent, level.game, asked.variant, levels)
+    played = evaluate(asked.agent, level.game, asked.variant, {"level": level})
     outcome = str(label(played, level.game, shift)["outcome"][0])
     goals = [f"the {goal}" for goal in (shift.intended, *shift.proxies)]
     proxies = " or ".join(goals[1:])
@@ -314,8 +312,8 @@ def _goals(asked: Asked) -> list[Section]:
     goals = (shift.intended, *shift.proxies)
     if missing := [goal for goal in goals if not cell_of(asked.level, goal)]:
         raise ValueError(f"no cell of the level alone is the goal: {', '.join(missing)}")
-    levels: Any = {"level": asked.level}
-    played = agency.play(asked.agent, asked.level.game, asked.variant, levels, shift)
+    only: Mapping[str, Level] = {"level": asked.level}
+    played = agency.play(asked.agent, asked.level.game, asked.variant, only, shift)
     found = agency.assess(played)
     row = found.episodes.row(0, named=True)
     table = pl.DataFrame(

@@ -86,8 +86,7 @@ def typical(
     """Return a large level in which the agent soon shows its usual goal, and why it was chosen.
 
     The usual goal is reached first in most levels that distinguish the goals; where they are not
-    known, it is a proxy, or without one another end. At least `TELLING` steps lead to it, if
-    possible.
+    known, it is a proxy, or without one another end. If possible, `TELLING` steps lead to it.
     """
     known = distinguishing(game, variant, shift, range(first, first + FIRST_FEW))
     levels = known or range(first, first + AT_SIGHT)
@@ -136,13 +135,9 @@ def _outcomes(
 def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[str, Any]:
     cells = [cell for cell in growth.goals if not isinstance(cell, str)]
     rates = growth.posterior[counted]
-    grown: dict[str, Any] = {}
-    rest = np.ones(len(counted))
-    for goal, place in named.items():
-        if place is not None and tuple(place) in cells:
-            grown[goal] = rates[:, cells.index(tuple(place))]
-            rest = rest - grown[goal]
-    grown[OTHER] = np.maximum(rest, 0)
+    placed = {goal: tuple(place) for goal, place in named.items() if place is not None}
+    grown = {g: rates[:, cells.index(place)] for g, place in placed.items() if place in cells}
+    grown[OTHER] = np.maximum(1 - sum(grown.values(), np.zeros(len(counted))), 0)
     return {
         "goals": {goal: rounded(rate) for goal, rate in grown.items()},
         "agent": rounded(growth.agent[counted]),
@@ -172,9 +167,7 @@ def splay(
             played = _outcomes(agent, world.game, world.variant, named, events)
             for k, (outcome, _) in enumerate(played):
                 outcomes[k][outcome] = outcomes[k].get(outcome, 0) + 1
-        where = [
-            level.agent if thing == "agent" else _place(level, thing, at, world) for level in some
-        ]
+        where = [_place(level, thing, at, world) for level in some]
         yield {"cells": where, "outcomes": outcomes, "of": of}
 
 

@@ -55,14 +55,11 @@ def make_lab(agent: str | Path | Policy | None, start: Mapping[str, Any]) -> Lab
     if about and about["game"] != game.name:
         raise ValueError(f"the agent {name!r} plays {about['game']}, not {game.name}")
     game.variant(first.setdefault("variant", next(iter(game.variants))))
-    if "level" not in first:
-        shift = game.shifts.get(about.get("shift", ""))
-        if shift and first["variant"] == shift.test:
-            test = game.variant(shift.test).with_knobs(about["knobs"].get(shift.test, {}))
-            first["level"], first["why"] = typical(game, test, shift, agents.player(name))
-        else:
-            first["level"] = 0
-    return Lab(agents, first | {"game": game.name})
+    shift = game.shifts.get(about.get("shift", ""))
+    if "level" not in first and shift and first["variant"] == shift.test:
+        test = game.variant(shift.test).with_knobs(about["knobs"].get(shift.test, {}))
+        first["level"], first["why"] = typical(game, test, shift, agents.player(name))
+    return Lab(agents, {"level": 0} | first | {"game": game.name})
 
 
 def _first_agent(agents: Agents, variant: str | None) -> str:

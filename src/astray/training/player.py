@@ -236,7 +236,7 @@ class Player:
         return {str(name): float(value) for name, value in told.items()}
 
     def reseeded(self, steps: int) -> Tensor:
-        """Return a random state for after so many steps, where none was saved on this device."""
+        """Return a random state, [K] uint8, for after so many steps; K is of the device."""
         seed = int(np.random.SeedSequence((self.seed, steps)).generate_state(1)[0])
         return torch.Generator(self.device).manual_seed(seed).get_state()
 

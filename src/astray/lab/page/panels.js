@@ -51,7 +51,7 @@ export class Panels {
     hear("forth", "click", () => lab.go(lab.now + 1));
     hear("scrub", "input", () => lab.show(Number(part("scrub").value)));
     hear("scrub", "change", () => lab.go(Number(part("scrub").value)));
-    for (const name of ["mode", "seed"]) hear(name, "change", () => lab.refresh());
+    for (const name of ["mode", "seed", "steered"]) hear(name, "change", () => lab.refresh());
     for (const name of ["layer", "heat", "zoom"]) hear(name, "change", () => lab.stage.redraw());
     hear("compare", "change", () => lab.think());
     for (const name of ["layers", "change", "amount", "channels"]) {
@@ -62,15 +62,15 @@ export class Panels {
       });
     }
     hear("reading", "click", () => lab.askReading());
-    hear("steered", "change", () => lab.refresh());
     hear("splay", "click", () => lab.askSplay());
     hear("unsplay", "click", () => this.#unsplay());
     hear("route", "click", () => lab.askRoute());
     hear("unroute", "click", () => { lab.way = null; this.routed(); lab.stage.redraw(); });
     hear("sight", "toggle", () => this.look());
     hear("method", "change", () => this.look());
-    hear("timeline", "click", (event) => lab.go(stepAt(event.target, event.offsetX, this.last)));
-    hear("posterior", "click", (event) => lab.go(stepAt(event.target, event.offsetX, this.last)));
+    for (const name of ["timeline", "posterior"]) {
+      hear(name, "click", (event) => lab.go(stepAt(event.target, event.offsetX, this.last)));
+    }
     for (const name of ["link", "png", "gif", "json", "read"]) {
       hear(name, "click", () => lab.tried(() => save[name](lab)));
     }
@@ -133,9 +133,7 @@ export class Panels {
       ...(layers.length ? [["change", "the network changed (below)"]] : []),
     ], part("compare").value);
     part("posterior").parentElement.hidden = lab.rules.real_time;
-    for (const option of part("heat").options) {
-      if (option.value === "goals") option.hidden = lab.rules.real_time;
-    }
+    part("heat").querySelector("[value=goals]").hidden = lab.rules.real_time;
     part("zoomed").hidden = !lab.look.view;
   }
 
