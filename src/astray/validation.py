@@ -7,18 +7,13 @@ import reprlib
 import shlex
 import sys
 import typing
-import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Literal
 
 import numpy as np
 
 MOST = 2**31 - 1  # of a knob, and of what is counted
 AT_ONCE = 10_000_000  # numbers of a range that are written out
-
-
-class OldName(FutureWarning):
-    """A name of an older version was read."""
 
 
 def bounded(name: str, given: Any, least: float, most: float) -> None:
@@ -88,22 +83,6 @@ def integers(given: Any, name: str) -> np.ndarray:
     if numbers.size and (numbers.dtype.kind not in "iu" or is_bool):
         raise ValueError(f"{name} must be integers of at most 64 bits; got {reprlib.repr(given)}")
     return numbers if numbers.size else numbers.astype(np.int64)
-
-
-def renamed(data: Any, names: Mapping[str, str], where: str) -> Any:
-    """Return `data`, if it is a dict, with new names in the place of old ones, and warn of these.
-
-    Args:
-        data: Values as read from a file of any version.
-        names: New names by old ones.
-        where: The file, or whatever else has them, for the warning.
-    """
-    if not isinstance(data, dict) or names.keys().isdisjoint(data):
-        return data
-    for old in names.keys() & data.keys():
-        said = f"{where} says {old!r}; this is now {names[old]!r}; a later version will not read it"
-        warnings.warn(said, OldName, stacklevel=2)
-    return {names.get(name, name): value for name, value in data.items()}
 
 
 def shown(given: Any, most: int = 80) -> str:

@@ -200,15 +200,6 @@ def test_what_agents_trained_here_do_stands_beside_the_published(tmp_path):
     assert report.of_claims(tmp_path / "nothing") == {}
 
 
-def test_findings_of_an_older_report_are_read_with_a_note(tmp_path):
-    mine = Findings(answer="", claims=[Claim("It runs.", "p", "7 %", True)], settings={})
-    report.write(HEADING, mine, tmp_path)
-    path = tmp_path / "findings.json"
-    path.write_text(path.read_text().replace('"supported"', '"held"'))
-    with pytest.warns(FutureWarning, match=r"findings\.json says 'held'; this is now 'supported'"):
-        assert report.of_claims(tmp_path) == {"It runs.": "7 % (supported)"}
-
-
 @pytest.mark.parametrize("supported", [True, False])
 def test_a_report_says_why_a_claim_is_not_supported(tmp_path, supported):
     mine = Findings(

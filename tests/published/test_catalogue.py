@@ -16,7 +16,7 @@ from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run, shift_of
 from astray.files import LOCK
-from astray.published import catalogue, check, imported
+from astray.published import catalogue, check
 from astray.published.catalogue import Check, Published
 from astray.published.imported import Known, import_agent
 from astray.training import folders
@@ -172,15 +172,6 @@ def test_what_is_said_of_an_agent_stays_in_its_cell(home, tmp_path, mouse):
     known = Known(game="maze", variant="anywhere", source=said)
     card = (import_agent(tmp_path / "agent.pth", "mine", known) / "README.md").read_text()
     assert "| source | a \\| b \\| \\| --- \\| --- \\| \\| evil |\n" in card
-
-
-def test_a_card_is_written_anew_of_what_an_older_version_imported(serve, home, runner):
-    run = catalogue.fetch(entry(serve(runner), digest(runner)))
-    data = json.loads((run / "origin.json").read_text())
-    told = data | {"settings_told": ["environments", "rollout"]}
-    (run / "origin.json").write_text(json.dumps(told))
-    imported.write_card(run, "runner")
-    assert "| num_envs |" in (run / "README.md").read_text()
 
 
 def test_a_card_tells_origin_licence_and_what_is_not_known(astray, home, tmp_path, runner, mouse):

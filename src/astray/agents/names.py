@@ -11,12 +11,6 @@ NETWORKS = (
     "patch-pooled", "patch-impala", "strided-impala", "cells", "drc",
 )  # fmt: skip
 CELLS = ("gru", "lstm")  # that any of them can have on top, as in "mlp+gru"
-RENAMED = {"small": "mlp"}  # as older files have them, and what they are called now
-
-
-def renamed_network(name: Any) -> Any:
-    """Return today's name for an older name of a network; other names stay."""
-    return RENAMED.get(name, name) if isinstance(name, str) else name
 
 
 def depth_and_ticks(name: str) -> tuple[int, int] | None:

@@ -19,7 +19,7 @@ from astray.agents.clear import Clear
 from astray.agents.drc import DRC
 from astray.agents.impala import WIDTHS, Impala
 from astray.agents.mlp import MLP
-from astray.agents.names import check_network, depth_and_ticks, is_own, renamed_network
+from astray.agents.names import check_network, depth_and_ticks, is_own
 from astray.agents.patch import nature, overlap, patch, patch_impala, strided_impala
 from astray.agents.recurrent import WithCell
 from astray.files import check_readable
@@ -188,12 +188,9 @@ def read_header(kept: dict[str, str] | None, game: str) -> dict[str, Any]:
 
 
 def _architecture(data: Any) -> Architecture:
-    if isinstance(data, dict):
-        data = {"widths": list(WIDTHS)} | data  # which older files do not have
     if not isinstance(data, dict) or not all(isinstance(data.get(k), list) for k in SEQUENCES):
         raise ValueError(f"its architecture is {data!r}; it must name a network and its sizes")
     fields: dict[str, Any] = data | {name: tuple(data[name]) for name in SEQUENCES}
-    fields["name"] = renamed_network(data.get("name"))
     return Architecture(**fields)
 
 

@@ -18,6 +18,7 @@ from astray.analysis.runs import evaluate_runs, open_run, shift_of
 from astray.analysis.tables import write_table
 from astray.estimate import Estimate
 from astray.experiments import catalogue
+from astray.experiments.spec import name_of_run
 from astray.experiments.videos import write_video
 from astray.files import write_aside
 from astray.training import checkpoint
@@ -140,12 +141,13 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
 
 
 def commands(config: Config) -> list[str]:
-    """Return the commands that train an agent with these settings."""
+    """Return the commands that train an agent with these settings, on this device or another."""
+    its = name_of_run(config)
     return [
         f"astray reproduce {name} --size {size}"
         for name in catalogue.NAMES
         for size, plan in catalogue.load(name).sizes.items()
-        if any(config in configs for configs in plan.trainings().values())
+        if any(its in map(name_of_run, configs) for configs in plan.trainings().values())
     ]
 
 

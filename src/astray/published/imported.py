@@ -25,7 +25,6 @@ from astray.record import LEVELS
 from astray.training import folders
 from astray.training.config import PRESETS, Config
 from astray.training.folders import AGENT, CONFIG, ORIGIN, AgentFolder, made, read_json
-from astray.training.older import RENAMED
 from astray.validation import shown
 
 CHECKS = "checks.json"
@@ -102,7 +101,7 @@ def write_card(run: Path, name: str) -> None:
     environment = templates("astray.published", markdown=True)
     environment.filters["cell"] = lambda value: " ".join(str(value).split()).replace("|", "\\|")
     try:
-        told = [str(RENAMED.get(key, key)) for key in said["settings_told"]]  # of an older version
+        told = [str(key) for key in said["settings_told"]]
         text = environment.get_template("card.md").render(
             name=name,
             config=config,

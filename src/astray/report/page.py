@@ -20,7 +20,7 @@ from astray.analysis.pages import templates
 from astray.analysis.tables import write_table
 from astray.files import read, remove_left, write_aside
 from astray.report.findings import Code, Findings, Heading, Scene, Section
-from astray.validation import renamed, shown
+from astray.validation import shown
 
 WRITTEN = ("report.html", "findings.json", "figures", "tables")  # to a report's folder
 COMPUTED = "computed"  # the folder of a report's tables, which are made once
@@ -137,13 +137,11 @@ def _findings(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path} is not JSON: {error}") from error
     kinds = dict.fromkeys(("answer", *(f.name for f in fields(Heading))), str)
     claims = found.get("claims") if isinstance(found, dict) else None
-    if isinstance(claims, list):
-        claims = [renamed(claim, {"held": "supported"}, str(path)) for claim in claims]
     of_claim = {"sentence": str, "ours": str, "supported": bool}
     are_claims = isinstance(claims, list) and all(_has(claim, of_claim) for claim in claims)
     if not (_has(found, kinds) and are_claims):
         raise ValueError(f"{path} must be the findings of a report; got {shown(found)}")
-    return {**found, "claims": claims}
+    return found
 
 
 def _has(given: Any, kinds: Mapping[str, type]) -> bool:

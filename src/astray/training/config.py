@@ -18,7 +18,7 @@ from astray.record import LEVELS
 from astray.training import older
 from astray.training.named import name_of_variant, stored
 from astray.training.settings import SCORING, Fast, Sampling, check, otherwise
-from astray.validation import one_of
+from astray.validation import one_of, shown
 from astray.world import World
 
 if TYPE_CHECKING:
@@ -357,7 +357,9 @@ class Config:
         Raises:
             ValueError: If they are invalid or of a later version.
         """
-        values = older.settings(data)
+        if not isinstance(data, dict):
+            raise ValueError(f"settings must be an object; got {shown(data)}")
+        values: dict[str, Any] = {k: v for k, v in data.items() if k != "training_variant"}
         world.find(values.get("game", SMALL.game))  # a file has nothing imported
         unknown = [name for name in values if name not in Config.names()]
         if unknown:

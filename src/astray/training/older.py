@@ -1,34 +1,10 @@
-"""Conversion of settings from older versions."""
+"""Variants as older versions wrote them."""
 
 import json
 from dataclasses import MISSING, fields
 from typing import Any
 
-from astray.agents.names import renamed_network
 from astray.game import Variant
-from astray.validation import renamed, shown
-
-# Settings as older run folders have them, and what they are called now.
-RENAMED = {
-    "environments": "num_envs",
-    "rollout": "num_steps",
-    "kernels": "fused_cpu",
-    "compiled": "compile",
-    "graphs": "cudagraphs",
-    "share": "fraction",
-}
-
-
-def settings(data: Any) -> dict[str, Any]:
-    """Return a file's settings under today's names; raise ValueError if they are invalid."""
-    if not isinstance(data, dict):
-        raise ValueError(f"settings must be an object; got {shown(data)}")
-    values: dict[str, Any] = dict(data)
-    values.pop("training_variant", None)
-    values = renamed(values, RENAMED, "a file of settings")
-    if "network" in values:
-        values["network"] = renamed_network(values["network"])
-    return values
 
 
 def same_levels(told: Any, now: Variant) -> bool:
