@@ -74,7 +74,7 @@ check: lint
 
 # The documentation, to site/index.html; a dead link is an error.
 docs: $(INSTALLED)
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 # Speed beside EnvPool (its Procgen needs Debian's libqt5gui5) and Stable-Baselines3.
 bench: $(INSTALLED)

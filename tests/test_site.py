@@ -1,6 +1,7 @@
 """The site of the documentation: its theme, its styles and the hook of links, on some pages."""
 
 import re
+import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -51,6 +52,17 @@ def site(tmp_path_factory):
                 config.plugins._register_event(event, hook)
         build(config)
     return folder / "site"
+
+
+def test_a_dead_link_fails_the_build_of_make_docs(tmp_path):
+    pytest.importorskip("mkdocs", reason="MkDocs is not installed")
+    (words,) = re.findall("/mkdocs (.*)", (ROOT / "Makefile").read_text())
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "index.md").write_text("[a](nowhere.md)")
+    (tmp_path / "mkdocs.yml").write_text("site_name: a")
+    command = [sys.executable, "-m", "mkdocs", *words.split()]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode and "nowhere.md" in done.stderr  # --quiet takes the links as good
 
 
 def test_the_page_for_what_is_not_there_leads_back(site):

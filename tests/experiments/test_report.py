@@ -327,6 +327,8 @@ def test_a_report_is_accessible(told, chrome, tmp_path):
 
 def test_what_stands_between_backticks_is_code():
     assert report.coded("a < `b` and `c") == "a &lt; <code>b</code> and `c"
+    said = report.coded("p = 1.8e-52, at 1-2")
+    assert said == 'p = <span class="short">1.8e-52</span>, at 1-2', "no line ends within it"
 
 
 def test_no_line_of_code_ends_within_an_option_or_a_name():

@@ -162,8 +162,9 @@ def _render(template: str, **what: Any) -> str:
 
 
 def coded(text: str) -> Markup:
-    """Escape text for HTML, with parts between backticks as code."""
-    return Markup(re.sub("`([^`]+)`", lambda part: code(Markup(part[1])), str(escape(text))))
+    """Escape text for HTML, with parts between backticks as code; no line ends within 1e-9."""
+    whole = re.sub(r"[\d.]+e-\d+", r'<span class="short">\g<0></span>', str(escape(text)))
+    return Markup(re.sub("`([^`]+)`", lambda part: code(Markup(part[1])), whole))
 
 
 def code(text: str) -> Markup:
