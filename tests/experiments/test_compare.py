@@ -1,6 +1,8 @@
 """A page that compares agents: verdict first, outcomes, paired differences, curves and a video."""
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -11,7 +13,8 @@ from astray.analysis.adapters import Function
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.policies import Random
 from astray.analysis.results import Result
-from astray.experiments.compare import compare, paired
+from astray.experiments.compare import _short, compare, paired
+from astray.training import folders
 from helpers.rooms import WORLD, go_right
 
 AGENT = "maze-corner"
@@ -29,6 +32,28 @@ def test_agents_and_scripts_are_compared_on_one_page(astray, tmp_path):
     row = page.split("<tbody>")[1].split("</tr>")[0]
     assert "maze-corner</td>" in row and "distinguishing</td>" in row, "its own row is the first"
     assert row.count('class="number"') > 3, "and its rates are not broken into lines"
+
+
+def test_runs_are_named_without_the_folders_that_they_share(astray, tmp_path):
+    home = tmp_path / "mazes-with-cheese-in-the-corner" / "of-november"
+    runs = [shutil.copytree(folders.find(AGENT), home / f"seed-{k}") for k in (0, 1)]
+    astray("compare", *runs, "--levels", "0:9", "--out", tmp_path)
+    page = (tmp_path / "compare.html").read_text()
+    assert "seed-0, seed-1 in anywhere-small</h1>" in page and "seed-0</td>" in page
+    assert page.count(home.name) == 2, "in the command alone"
+
+
+@pytest.mark.parametrize(
+    "names, short",
+    [
+        (["a/b/c", "a/d/c", "walk to x"], ["b/c", "d/c", "walk to x"]),
+        (["/r/mice/seed-0", "maze-corner"], ["seed-0", "maze-corner"]),
+        (["r/maze-corner", "maze-corner"], ["r/maze-corner", "maze-corner"]),  # which is another
+        (["random", "walk to x"], ["random", "walk to x"]),
+    ],
+)
+def test_names_stay_apart(names, short):
+    assert [*_short(list(map(str, map(Path, names)))).values()] == list(map(str, map(Path, short)))
 
 
 def test_differences_are_of_the_same_levels():
@@ -97,5 +122,5 @@ def test_returns_of_trainings_are_drawn(monkeypatch, tmp_path):
     drawn = {}
     monkeypatch.setattr(page, "curve_plot", lambda runs: drawn.update(runs))
     monkeypatch.setattr(page, "METRICS", "config.json")  # which the folder has
-    page._curves([agent, Random()], ["mouse", "random"])
+    page._curves({"mouse": agent, "random": Random()})
     assert drawn == {"mouse": [folder]}

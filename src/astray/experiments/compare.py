@@ -1,7 +1,9 @@
 """A page that compares agents in the same levels: outcomes, differences, curves, videos."""
 
 import itertools
+import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -73,27 +75,44 @@ def compare(
     scripts = {one.name for one in scripts_of(world.find(game), between)}
     tested = [one for one in policies if isinstance(one, Agent) or one.name not in scripts]
     result = evaluate_policies(tested, game, shift, levels, variant=variant, longest=longest)
+    short = _short(names)
+    rates, episodes = (one.with_columns(pl.col("policy").replace(short)) for one in result)
+    agents = tuple(short[name] for name in result.agents)
+    result, names = (
+        replace(result, rates=rates, episodes=episodes, agents=agents),
+        [*short.values()],
+    )
     rates = _in_order(result.rates, names)
     differences = paired(result, names)
     where: Any = variant or between.test
-    shown: list[Plot] = [_outcomes(rates), *_curves(policies, names)]
+    named = (name for name, one in world.find(game).variants.items() if one == where)
+    players = dict(zip(names, policies, strict=True))
+    shown: list[Plot] = [_outcomes(rates), *_curves(players)]
     told: dict[str, Sequence[Item]] = {
         "": [*result.verdict.splitlines(), Code(command or WRITER)],
         "Outcomes": [shown[0], Table("outcomes", "Which goal was reached first", rates)],
         "In the same levels": [Table("differences", DIFFERENCES, differences)],
     }
-    players = dict(zip(names, policies, strict=True))
     with files_aside(folder, PAGE, SIGN) as aside:
         told["Side by side"] = _videos(players, game, where, result, aside)
         told["Learning curves"] = shown[1:]
         for plot in shown:
             save(plot.figure, aside / "figures", plot.name)
         write_page(
-            aside / PAGE, f"{', '.join(names)} in {_name(game, where)}",
+            aside / PAGE, f"{', '.join(names)} in {next(named, name_of(where))}",
             [Section(heading, items) for heading, items in told.items()],
             figures=aside / "figures", answer=_answer(differences), sign=WRITER,
         )  # fmt: skip
     return folder / PAGE
+
+
+def _short(names: Sequence[str]) -> dict[str, str]:
+    """Return names without the folders that all runs among them lie in."""
+    folders = [Path(name).parent.parts for name in names if len(Path(name).parts) > 1]
+    alike = itertools.takewhile(lambda parts: len({*parts}) == 1, zip(*folders, strict=False))
+    shared = f"{Path(*(part for part, *_ in alike))}{os.sep}"
+    short = {name: name.removeprefix(shared) for name in names}
+    return short if len({*short.values()}) == len(names) else {name: name for name in names}
 
 
 def paired(result: Result, names: Sequence[str]) -> pl.DataFrame:
@@ -118,12 +137,6 @@ def paired(result: Result, names: Sequence[str]) -> pl.DataFrame:
             chances.append(nonzero(found))
     table = pl.DataFrame(rows)
     return table.insert_column(table.width - 1, pl.Series("differ", holm(chances)))
-
-
-def _name(game: Any, variant: Any) -> str:
-    """Return the name of a variant; for a custom one its description."""
-    there = world.find(game).variants.items()
-    return next((name for name, one in there if one == variant), name_of(variant))
 
 
 def _answer(differences: pl.DataFrame) -> str:
@@ -158,11 +171,11 @@ def _outcomes(rates: pl.DataFrame) -> Plot:
     return Plot("outcomes", "Which goal was reached first.", charts.outcome_bars(data), data)
 
 
-def _curves(policies: Sequence[Policy], names: Sequence[str]) -> list[Plot]:
+def _curves(players: Mapping[str, Policy]) -> list[Plot]:
     """Plot the returns of trainings, of those agents whose folder has them."""
     runs = {
         name: [AgentFolder.of(one.path).path]
-        for name, one in zip(names, policies, strict=True)
+        for name, one in players.items()
         if isinstance(one, Agent) and (AgentFolder.of(one.path).path / METRICS).exists()
     }
     return [curve_plot(runs)] if runs else []
@@ -176,8 +189,8 @@ def _videos(
     kinds = mine.group_by("level", maintain_order=True).agg(
         pl.col("outcome").n_unique(), pl.col("distinguishing").first()
     )
-    order = ["outcome", "distinguishing"]
-    level = int(kinds.sort(order, descending=True, maintain_order=True)["level"][0])
+    differing = kinds.sort("outcome", "distinguishing", descending=True, maintain_order=True)
+    level = int(differing["level"][0])
     try:
         frames = [
             video.play(one, game, variant, level, pixels=SIDE, longest=LONGEST).frames

@@ -24,7 +24,6 @@ from astray.experiments.connection import Wary, reached, unreachable, wary
 from astray.experiments.keep import keep
 from astray.files import holds_only, read, write_aside
 from astray.training import folders
-from astray.training.config import Config
 from astray.training.folders import CARD, CONFIG, HUB, AgentFolder
 from astray.validation import brief, of_kind, shown, slug
 
@@ -340,17 +339,13 @@ def _check_agent(repository: str, folder: Path) -> None:
     except (ValueError, OSError) as error:
         said = brief(str(error).replace(str(folder), repository))
         raise ValueError(f"{repository} holds no agent that can be used: {said}") from error
-    wanted = (config.network, _observed(config), len(config.find_game().actions))
+    game, seen = config.find_game(), (IMAGE, IMAGE, 3)
+    if config.observation != "image":
+        seen = game.symbols.planes(config.training_variant()).shape
+    wanted = (config.network, seen, len(game.actions))
     given = (architecture.name, architecture.shape, architecture.actions)
     if given != wanted or not holds_only(path.parent, (path.name,)):
         told = "{} that sees {} and has {} actions"
         raise ValueError(
             f"{repository}: its network must be {told.format(*wanted)}; got {told.format(*given)}"
         )
-
-
-def _observed(config: Config) -> tuple[int, ...]:
-    """Return the shape of observations under these settings."""
-    if config.observation == "image":
-        return (IMAGE, IMAGE, 3)
-    return config.find_game().symbols.planes(config.training_variant()).shape

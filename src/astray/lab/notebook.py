@@ -32,8 +32,10 @@ def show(
 
     first: dict[str, Any] = dict(start)
     if isinstance(level, Level):
-        first |= {"game": level.game.name, "level": level.to_json()}
-        first["variant"] = _name_of(level)
+        names = [name for name, variant in level.game.variants.items() if variant == level.variant]
+        if not names:
+            raise ValueError("a level's variant must be one of the game's by name to be shown")
+        first |= {"game": level.game.name, "level": level.to_json(), "variant": names[0]}
     else:
         first["level"] = level
     lab = make_lab(agent, first)
@@ -53,13 +55,6 @@ def modules() -> dict[str, str]:
     """Return the page's modules by path, and its markup, for a loader that cannot fetch files."""
     wanted = (".js", "index.html")
     return {path: data.decode() for path, (data, _) in files().items() if path.endswith(wanted)}
-
-
-def _name_of(level: Level) -> str:
-    names = [name for name, variant in level.game.variants.items() if variant == level.variant]
-    if not names:
-        raise ValueError("a level's variant must be one of the game's by name to be shown")
-    return names[0]
 
 
 @functools.cache

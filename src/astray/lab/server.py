@@ -82,7 +82,11 @@ def make_app(lab: Lab, token: str, port: int) -> Any:
     served = files()
     hosts = {f"{name}:{port}" for name in (LOOPBACK, "localhost")}
     origins = {f"http://{host}" for host in hosts}
-    policy = _policy(hosts)
+    sockets = " ".join(sorted(f"ws://{host}" for host in hosts))
+    policy = (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
+        f"connect-src 'self' {sockets}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
     pages: set[Any] = set()
 
     async def file(request: Any) -> Any:
@@ -125,14 +129,6 @@ def _in_one_line(record: logging.LogRecord) -> bool:
     if record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError):
         record.exc_info = None
     return True
-
-
-def _policy(hosts: set[str]) -> str:
-    sockets = " ".join(sorted(f"ws://{host}" for host in hosts))
-    return (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
-        f"connect-src 'self' {sockets}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    )
 
 
 class Conversation:
