@@ -110,6 +110,9 @@ HOSTILE = {
     "shared tuples as a key of a call": (
         b"\x80\x03ccollections\nOrderedDict\n](" + SHARED + b"K\x01\x86e\x85R.",
         "a tuple is a key of a dict"),
+    "integers of one hash as keys": (
+        b"\x80\x03}(" + b"".join(b"\x8a\x0a" + (k * (2**61 - 1)).to_bytes(10, "little") + b"N"
+                                for k in range(1, 3000)) + b"u.", "a int is a key of a dict"),
     "a call of shared tuples": (b"\x80\x03" + SHARED + b")R.", r"it calls \(\(\("),
     "an object of shared tuples": (b"\x80\x03" + SHARED + b")\x81.", r"makes an object of \(\("),
     "shared tuples encoded": (

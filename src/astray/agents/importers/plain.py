@@ -38,6 +38,7 @@ NODES = 100_000  # that a file may make; those of RL-Clarity take a few hundred
 BITS = 1024  # of an integer
 DIMENSIONS = 32  # of an array
 KEYS = (str, int, float, bool, type(None))  # of a dict: whose hash is soon found
+KEY_BITS = 60  # of an integer as a key; larger ones can all have one hash, which takes minutes
 PUSHED = (  # instructions that carry the value that they push
     "BINUNICODE", "SHORT_BINUNICODE", "BINUNICODE8", "BINBYTES", "SHORT_BINBYTES", "BINBYTES8",
     "BININT", "BININT1", "BININT2", "LONG1", "LONG4", "BINFLOAT",
@@ -234,8 +235,9 @@ def _set_items(m: _Machine) -> None:
 
 
 def _key(value: Any) -> Any:
-    if type(value) not in KEYS:
-        raise Refused(f"a {type(value).__name__} is a key of a dict; only text and numbers can be")
+    if type(value) not in KEYS or (type(value) is int and value.bit_length() > KEY_BITS):
+        kind = type(value).__name__
+        raise Refused(f"a {kind} is a key of a dict; only text and numbers below 2**60 can be")
     return value
 
 
