@@ -190,9 +190,12 @@ def test_the_cache_cannot_lead_out_of_a_folder_that_is_made(hub, tmp_path):
     assert source["repository"] == "ada/mouse"
 
 
-def test_an_agent_that_has_moved_to_no_address_is_not_reached(hub, tmp_path):
-    hub.said = [{"Location": "http://127.0.0.1/\x7f"}] * 9
-    with pytest.raises((OSError, ValueError), match="ada/mouse"):
+@pytest.mark.parametrize(
+    "to", ["http://127.0.0.1/\x7f", "http://127.0.0.1:99999/", "http://[::1/", f"//{'a' * 64}/"]
+)
+def test_an_agent_that_has_moved_to_no_address_is_not_reached(hub, tmp_path, to):
+    hub.said = [{"Location": to}] * 9
+    with pytest.raises((OSError, ValueError), match="ada/mouse cannot be pulled: "):
         ours.pull("ada/mouse")
     with pytest.raises(ValueError, match="an agent's name must be of a-z"):
         ours.pull("ada/mouse", name=3)

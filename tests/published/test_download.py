@@ -203,6 +203,21 @@ def test_addresses_that_others_can_tamper_with_are_refused(tmp_path, address):
         download(address, tmp_path / "a", size=None, digest=None)
 
 
+@pytest.mark.parametrize("to", ["http://[::1/x", "https://a..b/", "http://127.0.0.1:99999/"])
+def test_a_server_that_sends_on_to_no_address_is_named(tmp_path, to):
+    class Moved(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(302)
+            self.send_header("Location", to)
+            self.end_headers()
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Moved) as server:
+        threading.Thread(target=server.handle_request, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_port}/agent.jd"
+        with pytest.raises(OSError, match=f"{address} could not be downloaded"):
+            download(address, tmp_path / "agent.jd", size=None, digest=digest(DATA))
+
+
 def test_a_server_that_is_not_there_is_named(tmp_path):
     with pytest.raises(OSError, match=r"127.0.0.1:9/a.jd could not be downloaded .*; 0 bytes"):
         download("http://127.0.0.1:9/a.jd", tmp_path / "a", size=None, digest="00")

@@ -175,10 +175,10 @@ def reached(repository: str, revision: str | None, what: str, lacking: str) -> I
             f"{of} cannot be {what}: the connection failed ({brief(error)}); the same command "
             "goes on with what has arrived"
         ) from error
-    except OSError as error:
-        if len(lines := str(error).splitlines()) < 2:
-            raise
-        raise OSError(f"{of} cannot be {what}: {lines[0]}") from error  # advice of the library's
+    except (OSError, ValueError) as error:
+        said, *_ = brief(error).splitlines()  # then the library's advice
+        kind = ValueError if isinstance(error, ValueError) else OSError
+        raise kind(f"{of} cannot be {what}: {said}") from error
     finally:
         library.setLevel(before)
 

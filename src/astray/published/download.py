@@ -56,7 +56,7 @@ def download(address: str, to: Path, *, size: int | None, digest: str | None) ->
             part.unlink(missing_ok=True)
         try:
             _fetch(address, part, size or LARGEST)
-        except (OSError, http.client.HTTPException) as error:
+        except (OSError, ValueError, http.client.HTTPException) as error:  # also of addresses
             arrived = part.stat().st_size if part.exists() else 0
             of = f" of {size:,}" if size else ""
             raise OSError(
