@@ -56,10 +56,9 @@ class Wary:
         """Raise ValueError if an answer contains a path, is compressed, or is too large."""
         headers, asked = answer.headers, answer.request.method
         self.come(LEAST)
-        commit, etag = headers.get("X-Repo-Commit"), headers.get("X-Linked-Etag")
-        _check_name("commit", commit, COMMIT)
+        _check_name("commit", headers.get("X-Repo-Commit"), COMMIT)
         if asked == "HEAD":
-            _check_name("ETag", etag or headers.get("ETag"), ETAG)
+            _check_name("ETag", headers.get("X-Linked-Etag") or headers.get("ETag"), ETAG)
         # Its bytes come by another library, which nobody watches; without this they come by HTTP.
         headers.pop("X-Xet-Hash", None)
         if not answer.is_success:  # nobody needs what comes with it, which may not end
@@ -176,7 +175,7 @@ def reached(repository: str, revision: str | None, what: str, lacking: str) -> I
             "goes on with what has arrived"
         ) from error
     except (OSError, ValueError) as error:
-        said, *_ = brief(error).splitlines()  # then the library's advice
+        said = brief(error).partition("\n")[0]  # then the library's advice
         kind = ValueError if isinstance(error, ValueError) else OSError
         raise kind(f"{of} cannot be {what}: {said}") from error
     finally:

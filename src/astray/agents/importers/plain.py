@@ -236,8 +236,7 @@ def _set_items(m: _Machine) -> None:
 
 def _key(value: Any) -> Any:
     if type(value) not in KEYS or (type(value) is int and value.bit_length() > KEY_BITS):
-        kind = type(value).__name__
-        raise Refused(f"a {kind} is a key of a dict; only text and numbers below 2**60 can be")
+        raise Refused(f"a {type(value).__name__} is a key of a dict, not text or a small number")
     return value
 
 
