@@ -4,17 +4,19 @@ import copy
 import json
 import os
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from astray import games, imports
-from astray.agency import devices, generators
+from astray.agency import devices, generators, maxent, population
 from astray.agency.agents import Agents
 from astray.agency.gridworld import World
-from astray.agency.measure import Episode, Options
+from astray.agency.measure import Episode, Options, decisions, measure_named
 from astray.agency.online import measure_online
 from astray.agency.steps import log_table, rule
+from astray.analysis.adapters import Function
 from astray.analysis.evaluate import evaluate
 from astray.analysis.overlap import overlap
 from astray.analysis.policies import Random
@@ -28,11 +30,14 @@ from astray.level import Level
 from astray.level_files import read_levels
 from astray.training.config import PRESETS, Config
 from astray.training.trainer import Trainer
+from astray.validation import bounded, finite
 
 MAZE, KEYS = games.find("maze"), games.find("keys")
 SMALL = MAZE.variant("corner-small")
 ROOM = World(np.ones((3, 3), bool))
 WALK = Episode(ROOM, ROOM.walk((0, 0), [0]), (2, 2))
+MASKED = np.ma.masked_array([1, 2], [True, False])
+likelihood = partial(maxent.log_likelihood, ROOM, WALK.trajectory, w=0.5)
 
 
 def small(**options):
@@ -89,6 +94,47 @@ def test_a_misspelt_word_is_no_other_word(misspelt):
     ],
 )
 def test_a_number_or_a_fact_of_another_type_is_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        wrong()
+
+
+@pytest.mark.parametrize(
+    "wrong, message",
+    [
+        (lambda: population.pooled(np.zeros(3)), r"must be of episodes x explanations; got \(3,\)"),
+        (lambda: population.pooled(np.full((2, 2), np.nan)), "every explanation, or one is NaN"),
+        (lambda: population.rates(np.array([[-1, np.nan]])), "every explanation, or one is NaN"),
+        (
+            lambda: population.pooled(np.array([[0, -np.inf], [-np.inf, 0]])),
+            "no explanation is possible for all episodes",
+        ),
+        (lambda: likelihood(legal="no"), "legal must be a bool; got 'no'"),
+        (lambda: likelihood(w=True), "w must be between 0 and 1"),
+        (lambda: likelihood(w="0.5"), "w must be between 0 and 1"),
+        (lambda: maxent.log_likelihood(ROOM, "up", 0.5), "a trajectory must be a Trajectory"),
+        (lambda: maxent.log_likelihood(World.parse(".."), WALK.trajectory, 0.5), "cells of a traj"),
+        (lambda: Function(len, name=3), "name must be a str; got 3"),
+        (lambda: Function(len, observation="images"), "unknown observation 'images'; there are"),
+        (lambda: Function(len, remembers="no"), "remembers must be a bool; got 'no'"),
+        (lambda: Agents(ROOM, ROOM.distance, legal="no"), "legal must be a bool; got 'no'"),
+        (lambda: bounded("k", np.timedelta64(3), 0, 5), "k must be an integer from 0 to 5"),
+        (lambda: finite("k", np.timedelta64(3)), "k must be a finite number; got"),
+        (lambda: finite("k", False), "k must be a finite number; got False"),
+        (lambda: evaluate(Random(), "maze", SMALL, MASKED), "levels must be integers of .*masked"),
+        (lambda: small(levels=MASKED), "levels must be integers of .*masked"),
+        (lambda: Episode(3, WALK.trajectory), "world must be a World; got 3"),
+        (lambda: ROOM.path(3), "cells must be a Iterable; got 3"),
+        (lambda: ROOM.cell(-1), "the number of a cell must be an integer from 0 to 8; got -1"),
+        (lambda: ROOM.accessible((0, 0)), r"number of a cell must be an integer .*got \(0, 0\)"),
+        (lambda: measure_named([WALK], 3), "goals must be a Sequence; got 3"),
+        (lambda: measure_named([WALK], {"a": [(0, 0)]}), "goals must be a Sequence; got {'a'"),
+        (lambda: measure_named([WALK], [3]), "goals of an episode must be a Mapping; got 3"),
+        (lambda: measure_named([WALK], [{"a": None}]), "cells of a goal must be a Collection; got"),
+        (lambda: decisions(WALK, {}, Options()), "there must be a goal, and each"),
+        (lambda: decisions(WALK, [(0, 0)], Options()), "goals must be a Mapping; got"),
+    ],
+)
+def test_an_argument_of_another_kind_is_refused_and_not_read_as_another(wrong, message):
     with pytest.raises(ValueError, match=message):
         wrong()
 

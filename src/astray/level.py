@@ -11,7 +11,7 @@ import numpy as np
 
 from astray.game import Game, Variant
 from astray.record import NEVER, is_trusted
-from astray.validation import of_kind, one_of, shown
+from astray.validation import check_cell, of_kind, one_of, shown
 
 AGENT, EMPTY = "@", "."  # in the drawings of all games
 ON = f"{AGENT} on "  # prefix of the line below a drawing with what the agent stands on
@@ -148,8 +148,7 @@ class Level:
         ):
             raise ValueError(f"the agent must be at two numbers, x and y; got {shown(agent)}")
         looks = data.get("looks", {})
-        if not isinstance(looks, Mapping):
-            raise ValueError(f"a level's looks must be an object; got {shown(looks)}")
+        of_kind("a level's looks", looks, Mapping)
         level = Level(game, variant, cells, _cell(agent), looks)._uncovered()
         told = game.editing.describe(level.state(solvable=False))
         apart = {"game", "variant", "level", "looks"} | (
@@ -328,18 +327,6 @@ class Level:
 def _cell(place: Any) -> Cell:
     """Return the cell that contains a place (x, y)."""
     return int(np.floor(place[0])), int(np.floor(place[1]))
-
-
-def check_cell(place: Any) -> Cell:
-    """Return `place` as a cell.
-
-    Raises:
-        ValueError: If it is not two integers.
-    """
-    if not np.shape(place) == (2,) or np.asarray(place).dtype.kind not in "iu":
-        raise ValueError(f"a cell must be two integers, x and y; got {shown(place)}")
-    x, y = place
-    return int(x), int(y)
 
 
 def _is_of_cells(value: Any) -> TypeGuard[list[list[Any]]]:

@@ -14,18 +14,20 @@ import numpy as np
 
 MOST = 2**31 - 1  # of a knob, and of what is counted
 AT_ONCE = 10_000_000  # numbers of a range that are written out
+NUMBERS = int | float | np.integer | np.floating
+UNCOUNTED = bool | np.timedelta64  # that are integers to Python or numpy
 
 
 def bounded(name: str, given: Any, least: float, most: float) -> None:
     """Raise ValueError unless the argument `name` is an integer from `least` to `most`."""
-    is_integer = isinstance(given, int | np.integer) and not isinstance(given, bool)
+    is_integer = isinstance(given, int | np.integer) and not isinstance(given, UNCOUNTED)
     if not is_integer or not least <= given <= most:
         raise ValueError(f"{name} must be an integer from {least} to {most}; got {shown(given)}")
 
 
 def finite(name: str, given: Any, least: float = -math.inf, most: float = math.inf) -> None:
     """Raise ValueError unless the argument `name` is a finite number from `least` to `most`."""
-    is_number = isinstance(given, int | float | np.integer | np.floating) and given is not True
+    is_number = isinstance(given, NUMBERS) and not isinstance(given, UNCOUNTED)
     if not is_number or not abs(given) <= sys.float_info.max or not least <= given <= most:
         said = f" from {least:g} on" if math.isfinite(least) else ""
         said = f" from {least:g} to {most:g}" if math.isfinite(most - least) else said
@@ -55,19 +57,22 @@ def one_of(kind: str, given: Any, there: Any, of: str = "") -> None:
 
 
 def check_words(record: Any) -> None:
-    """Raise ValueError unless the dataclass `record` has allowed words in all `Literal` fields.
+    """Raise ValueError unless the `Literal`, bool and str fields of a dataclass `record` are such.
 
-    A misspelt word would otherwise be read as another one. Other fields are not checked.
+    A misspelt word would otherwise be read as another one, and "no" as yes. Other fields are not
+    checked.
     """
     for name, kind in typing.get_type_hints(type(record)).items():
         if typing.get_origin(kind) is Literal:
             one_of(name, getattr(record, name), kind)
+        elif kind in (bool, str):
+            of_kind(name, getattr(record, name), kind)
 
 
 def integers(given: Any, name: str) -> np.ndarray:
     """Return `given` as an array of integers of the same shape.
 
-    A float would be truncated silently, and a boolean would become 0 or 1.
+    A float would be truncated silently, a boolean would become 0 or 1, and a mask be forgotten.
 
     Raises:
         ValueError: If it holds anything else, larger integers, or a range of more than `AT_ONCE`.
@@ -80,9 +85,17 @@ def integers(given: Any, name: str) -> np.ndarray:
         numbers = np.empty(1, object)
     several = isinstance(given, Sequence) and not isinstance(given, str | range)
     is_bool = several and any(isinstance(x, bool) for x in given)
-    if numbers.size and (numbers.dtype.kind not in "iu" or is_bool):
+    if numbers.size and (numbers.dtype.kind not in "iu" or is_bool or np.ma.is_masked(given)):
         raise ValueError(f"{name} must be integers of at most 64 bits; got {reprlib.repr(given)}")
     return numbers if numbers.size else numbers.astype(np.int64)
+
+
+def check_cell(place: Any) -> tuple[int, int]:
+    """Return `place` as a cell (x, y); raise ValueError unless it is two integers."""
+    if np.shape(place) != (2,) or np.asarray(place).dtype.kind not in "iu":
+        raise ValueError(f"a cell must be two integers, x and y; got {shown(place)}")
+    x, y = place
+    return int(x), int(y)
 
 
 def shown(given: Any, most: int = 80) -> str:

@@ -70,10 +70,7 @@ class WorldVariant:
             made = self.factory(**self.knobs)
         except Exception as error:
             raise ValueError(f"the factory of {self} fails: {brief(error)}") from error
-        if not isinstance(made, Env):
-            raise ValueError(
-                f"the factory of {self} must return a gymnasium.Env; got {shown(made)}"
-            )
+        of_kind(f"the environment that the factory of {self} returns", made, Env)
         for name in ("observation_space", "action_space"):
             of_kind(f"the {name} of {self}", getattr(made, name, None), gymnasium.Space)
         if made.action_space.shape is None:
@@ -191,11 +188,7 @@ class World:
                 "World(repeats=False)"
             )
         for name, happened in self.events.items():
-            if not isinstance(happened, str) and not callable(happened):
-                raise ValueError(
-                    f"the event {name!r} must be a key of info or a function of the environment "
-                    f"and info; got {shown(happened)}"
-                )
+            of_kind(f"the event {name!r}, a key of info or a function,", happened, str | Callable)
         for goal in self.experts:
             one_of("goal of an expert", goal, self.goals)
         check_goals(self)

@@ -94,11 +94,35 @@ def test_what_is_no_policy_is_refused(policy, goal, words):
         goal_directedness(CHOICE, policy, goal)
 
 
+@pytest.mark.parametrize("discount", [0.9999, 1 - 1e-6])
+def test_a_discount_near_one_takes_no_longer(discount):
+    world, process = of_world("....\n.#..\n....", (0, 0), discount)
+    goal = world.number((3, 2))
+    patient = of_world("....\n.#..\n....", (0, 0), 0.999)[1]
+    policy = erring(world, goal, 0.3)
+    found = [goal_directedness(one, policy, goal).nats for one in (patient, process)]
+    assert found[1] == pytest.approx(found[0], rel=1e-2)
+
+
+def test_an_optimal_policy_has_all_nats_where_the_goal_is_far_and_later_steps_hardly_count():
+    world, process = of_world("." * 30, (0, 0), discount=0.5)
+    goal = world.number((29, 0))
+    sure = erring(world, goal, 0)
+    best = goal_directedness(process, sure, goal)
+    bits = np.log(4) * (1 - 0.5**29) / (1 - 0.5)  # each step takes one of four actions
+    assert best.nats == pytest.approx(bits, rel=1e-6) and np.isinf(best.beta)
+    rare = goal_directedness(process, erring(world, goal, 0.3), goal)
+    assert 0 < rare.nats < 0.1 * best.nats and np.isfinite(rare.beta)
+
+
 def test_what_is_no_process_is_refused():
     with pytest.raises(ValueError, match="after must be states from 0 to 0"):
         Process(np.array([[1]]), np.array([[True]]), 0)
-    with pytest.raises(ValueError, match="discount must be above 0 and below 1; got 1"):
-        Process(np.array([[0]]), np.array([[True]]), 0, discount=1)
+    for discount in (0, 1, 1 - 1e-13):
+        with pytest.raises(ValueError, match="discount must be above 0 and below 1; got"):
+            Process(np.array([[0]]), np.array([[True]]), 0, discount=discount)
+    with pytest.raises(ValueError, match="process must be a Process; got 3"):
+        goal_directedness(3, np.ones((1, 1)), 0)  # pyright: ignore
     for possible in ([[2, 1]] * 2, [[np.nan, 1]] * 2, [[0.5, 1]] * 2):  # weights, or no end of work
         with pytest.raises(ValueError, match="possible must be booleans; got"):
             Process(np.array([[0, 1]] * 2), np.array(possible), 0)

@@ -222,7 +222,7 @@ def test_files_and_folders_of_levels_are_read(game, tmp_path):
         ({"agent": [500.5, 1.5]}, "outside of the level"),
         ({"agent": [10**30, 1.5]}, "the agent must be at two numbers"),
         ({"agent": [float("nan"), 1.5]}, "the agent must be at two numbers"),
-        ({"looks": 3}, "looks must be an object"),
+        ({"looks": 3}, "looks must be a Mapping"),
         ({"looks": {"hat": 3}}, "unknown field 'hat'"),
         ({"goal_of_life": 42}, "unknown field 'goal_of_life'"),
     ],

@@ -134,7 +134,7 @@ def test_fields_after_fewer_ticks_are_those_of_a_network_that_ticks_less(planner
         thinking(planner, 3),
     ):
         pass
-    with pytest.raises(ValueError, match="only the network drc ticks"):
+    with pytest.raises(ValueError, match="the network that ticks must be a DRC"):
         thinking(astray.load_agent("maze-corner"), 1).__enter__()
 
 

@@ -42,7 +42,6 @@ class Setting:
         of_kind("world", self.world, World)
         bounded("seed", self.seed, 0, MOST)
         bounded("horizon", self.horizon, 1, MOST)
-        of_kind("bumps", self.bumps, bool)
         start, goal = self.world.number(self.start), self.world.number(self.goal)
         if start == goal or not np.isfinite(self.world.distance[start, goal]):
             raise ValueError(f"no way leads from {self.start} to another cell {self.goal}")

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from astray.validation import bounded, integers, of_kind, shown
+from astray.validation import bounded, check_cell, integers, of_kind, shown
 
 ACTIONS = ("up", "down", "left", "right")
 MOVES = np.array([(0, 1), (0, -1), (-1, 0), (1, 0)])  # (x, y), y upward
@@ -107,9 +107,7 @@ class World:
 
     def number(self, cell: Cell) -> int:
         """Return the number of a free cell; raise ValueError for any other cell."""
-        if np.shape(cell) != (2,) or np.asarray(cell).dtype.kind not in "iu":
-            raise ValueError(f"a cell must be two integers, x and y; got {shown(cell)}")
-        x, y = cell
+        x, y = check_cell(cell)
         height, width = self.free.shape
         if not (0 <= x < width and 0 <= y < height):
             raise ValueError(f"cell {cell} is outside of the map of {width} x {height} cells")
@@ -118,12 +116,14 @@ class World:
         return int(self.numbers[y, x])
 
     def cell(self, number: int) -> Cell:
-        """Return the x and y of a free cell."""
+        """Return the x and y of a free cell; raise ValueError if the number is none's."""
+        bounded("the number of a cell", number, 0, len(self) - 1)
         x, y = self.cells[number]
         return int(x), int(y)
 
     def accessible(self, cell: int) -> np.ndarray:
-        """Return the numbers of all cells with a way from `cell`, including itself."""
+        """Return the numbers of all cells with a way from number `cell`, itself among them."""
+        bounded("the number of a cell", cell, 0, len(self) - 1)
         return np.flatnonzero(np.isfinite(self.distance[cell]))
 
     def walk(self, start: Cell, actions: Iterable[int]) -> Trajectory:
@@ -159,6 +159,7 @@ class World:
         Raises:
             ValueError: If a cell is not free or not adjacent to the one before.
         """
+        of_kind("cells", cells, Iterable)
         visited = [self.number(cell) for cell in cells]
         if not visited:
             raise ValueError("a path must have at least its first cell")

@@ -6,11 +6,9 @@ Section 2). w -> 1 is the random walk; w -> 0 takes all shortest ways equally of
 """
 
 import numpy as np
-from scipy.special import logsumexp
 
 from astray.agency.gridworld import Trajectory, World
-
-NODES = 48  # of the integral over w
+from astray.validation import NUMBERS, of_kind
 
 
 def log_likelihood(
@@ -27,10 +25,12 @@ def log_likelihood(
         legal: Whether only moves that change the cell are actions.
 
     Raises:
-        ValueError: If w is out of range.
+        ValueError: If w is out of range, or the trajectory is of another world.
     """
-    if not 0 < w < 1:
+    if not isinstance(w, NUMBERS) or not 0 < w < 1:
         raise ValueError(f"w must be between 0 and 1; got {w}")
+    of_kind("legal", legal, bool)
+    world.check(trajectory)
     cells, steps = trajectory.cells, len(trajectory)
     log_z = _log_z(world, w, legal)
     actions = world.legal.sum(1) if legal else np.full(len(world), world.legal.shape[1])
@@ -45,13 +45,6 @@ def log_likelihood(
     with np.errstate(invalid="ignore"):
         pursued = hit * np.log(w) + log_end - log_start
     return np.where(reachable, log_walk.sum() + pursued, -np.inf)
-
-
-def log_mixture(world: World, trajectory: Trajectory, *, legal: bool = False) -> np.ndarray:
-    """Return `log_likelihood` with w uniform on (0, 1), [F]."""
-    x, weight = np.polynomial.legendre.leggauss(NODES)
-    each = [log_likelihood(world, trajectory, float(w), legal=legal) for w in (1 + x) / 2]
-    return logsumexp(np.array(each) + np.log(weight / 2)[:, None], axis=0)
 
 
 def _log_z(world: World, w: float, legal: bool) -> np.ndarray:

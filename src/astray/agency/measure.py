@@ -9,7 +9,7 @@ All evidence is a natural logarithm (nats). The two presets:
                 (eps ~ Beta(1, 2)).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -56,16 +56,13 @@ class Options:
 
     def __post_init__(self) -> None:
         check_words(self)
-        of_kind("legal", self.legal, bool)
         of_kind("observations", self.observations, tuple)
         finite("noise_atom", self.noise_atom, 0, 1)
         finite("beta", self.beta, 1)
-        if not self.observations:
-            raise ValueError("observations are empty: name at least one")
         for what in self.observations:
             one_of("observation", what, devices.OBSERVATIONS)
-        if len(set(self.observations)) < len(self.observations):
-            raise ValueError(f"observations are {self.observations}; each is given once")
+        if len(set(self.observations)) < max(1, len(self.observations)):
+            raise ValueError(f"observations are {self.observations}; give some, each is given once")
 
 
 PAPER = Options()
@@ -85,6 +82,7 @@ class Episode:
     true: Cell | None = None
 
     def __post_init__(self) -> None:
+        of_kind("world", self.world, World)
         self.world.check(self.trajectory)
 
 
@@ -181,6 +179,9 @@ def measure_named(
         ValueError: If episodes and goals do not fit.
     """
     whole = prepared(episodes, options)
+    of_kind("goals", goals, Sequence)
+    for named in goals:
+        of_kind("goals of an episode", named, Mapping)
     if len(goals) != len(whole) or any(set(named) != set(goals[0]) for named in goals):
         raise ValueError("all episodes must have goals of the same names")
     if OTHER in goals[0] or not goals[0]:
@@ -206,6 +207,7 @@ def decisions(episode: Episode, goals: Mapping[str, Sequence[Cell]], options: Op
     Raises:
         ValueError: If a goal has no cell, or one that is not free.
     """
+    of_kind("goals", goals, Mapping)
     (episode,) = prepared(episode, options)
     agents = _named_agents(episode, list(goals.values()), options)
     best = agents.best[episode.trajectory.cells[:-1]]
@@ -257,8 +259,10 @@ def cell_steps(episode: Episode, options: Options) -> np.ndarray:
 
 def _named_agents(episode: Episode, goals: Sequence[Sequence[Cell]], options: Options) -> Agents:
     """Return agents for the nearest cell of each goal."""
-    if not all(map(len, goals)):
-        raise ValueError("a goal must have at least one cell")
+    for cells in goals:
+        of_kind("cells of a goal", cells, Collection)
+    if not all(map(len, goals)) or not goals:
+        raise ValueError("there must be a goal, and each must have at least one cell")
     numbers = [[_number(episode, cell) for cell in cells] for cells in goals]
     distance = np.stack([episode.world.distance[:, of].min(1) for of in numbers], 1)
     return Agents(episode.world, distance, options.legal, options.at_goal)

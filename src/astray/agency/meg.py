@@ -18,11 +18,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.sparse import csc_array, eye_array
+from scipy.sparse.linalg import spsolve
 
-from astray.validation import bounded, finite, of_kind, shown
+from astray.validation import bounded, finite, integers, of_kind, shown
 
-LARGEST = 1e4  # rationality; beyond it, policies are optimal to all digits
-PRECISION = 1e-9  # of soft values, in nats
+LARGEST = 100.0  # nats that a step's delay costs; beyond, policies are optimal to all digits
+PRECISION = 1e-9  # of soft values, in nats; of a discount near 0 or 1
+ROUNDS = 1000  # of Newton's method, which takes a few dozen at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,16 +57,14 @@ class Process:
                 f"{self.possible.shape}"
             )
         states = len(self.after)
-        if (
-            self.after.dtype.kind not in "iu"
-            or not ((self.after >= 0) & (self.after < states)).all()
-        ):
+        integers(self.after, "states")
+        if not np.isin(self.after, range(states)).all():
             raise ValueError(f"after must be states from 0 to {states - 1}")
         if self.possible.dtype != bool:
             raise ValueError(f"possible must be booleans; got {self.possible.dtype}")
         bounded("start", self.start, 0, states - 1)
         finite("discount", self.discount, 0, 1)
-        if self.discount in (0, 1):
+        if not PRECISION <= self.discount <= 1 - PRECISION:
             raise ValueError(f"discount must be above 0 and below 1; got {self.discount}")
 
     def ending_in(self, goal: int) -> Process:
@@ -94,19 +95,29 @@ class Process:
         return float(value[self.start])
 
     def soft_values(self, goal: int, beta: float, guess: np.ndarray) -> np.ndarray:
-        """Return the soft values W [S] in nats, by value iteration that starts from `guess` [S]."""
+        """Return the soft values W [S] in nats, by Newton's method that starts from `guess` [S].
+
+        Value iteration takes millions of rounds where the discount is near 1; this takes a few.
+
+        Raises:
+            ValueError: If the discount is too near 1 for the precision of numbers.
+        """
         utility = np.where(self.after == goal, beta, 0.0)
         weights = self.possible / np.maximum(self.possible.sum(1, keepdims=True), 1)
-        ends = ~self.possible.any(1)
-        value = guess
-        while True:
+        ends, value, states = ~self.possible.any(1), guess, np.indices(self.after.shape)[0]
+        for _ in range(ROUNDS):
             gain = utility + self.discount * value[self.after]
             most = gain.max(1)  # so that no exponential is too large
-            mean = (weights * np.exp(gain - most[:, None])).sum(1)
-            new = np.where(ends, 0.0, most + np.log(np.where(ends, 1.0, mean)))
-            if np.abs(new - value).max() <= PRECISION * max(1.0, beta):
-                return new
-            value = new
+            soft = weights * np.exp(gain - most[:, None])
+            mean = np.where(ends, 1.0, soft.sum(1))
+            new = np.where(ends, 0.0, most + np.log(mean))
+            next_to = self.discount * soft / mean[:, None]
+            along = csc_array((next_to.flat, (states.flat, self.after.flat)))
+            step = spsolve(eye_array(len(value)) - along, new - value)
+            value = value + step
+            if (np.abs(step) <= PRECISION * (1 + 1e-3 * np.abs(value))).all():
+                return value
+        raise ValueError(f"the discount {self.discount} is too near 1 for soft values")
 
 
 @dataclass(frozen=True)
@@ -144,6 +155,7 @@ def goal_directedness(process: Process, policy: np.ndarray, goal: int) -> Direct
     Raises:
         ValueError: The policy is not one of the process, or the goal is not a state.
     """
+    of_kind("process", process, Process)
     bounded("goal", goal, 0, len(process.after) - 1)
     of_kind("policy", policy, np.ndarray)
     if policy.shape != process.after.shape:
@@ -154,14 +166,17 @@ def goal_directedness(process: Process, policy: np.ndarray, goal: int) -> Direct
         raise ValueError("policy must be probabilities that sum to 1 over the possible actions")
     ending = process.ending_in(goal)
     expected, best = ending.expected(policy, goal), ending.best(goal)
-    most, _ = _largest(ending, goal, best)
-    if expected >= best - PRECISION:
+    if not best:
+        return Directedness(0.0, 0.0, 0.0)
+    largest = LARGEST / (best * (1 - process.discount))
+    most, _ = _largest(ending, goal, best, largest)
+    if expected >= best * (1 - PRECISION):
         return Directedness(most, np.inf if most else 0.0, most)
-    return Directedness(*_largest(ending, goal, expected), most)
+    return Directedness(*_largest(ending, goal, expected, largest), most)
 
 
-def _largest(process: Process, goal: int, expected: float) -> tuple[float, float]:
-    """Return the largest beta E[U] - W(start) over beta from 0 upward, and that beta."""
+def _largest(process: Process, goal: int, expected: float, most: float) -> tuple[float, float]:
+    """Return the largest beta E[U] - W(start) over beta from 0 to `most`, and that beta."""
     value = np.zeros(len(process.after))
 
     def lost(log_beta: float) -> float:
@@ -171,7 +186,7 @@ def _largest(process: Process, goal: int, expected: float) -> tuple[float, float
         return value[process.start] - beta * expected
 
     found = minimize_scalar(
-        lost, bounds=(-7, np.log(LARGEST)), method="bounded", options={"xatol": 1e-3}
+        lost, bounds=(-7, np.log(most)), method="bounded", options={"xatol": 1e-3}
     )
     if -found.fun <= PRECISION:
         return 0.0, 0.0

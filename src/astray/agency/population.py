@@ -19,14 +19,10 @@ def rates(log_evidence: np.ndarray, *, seed: int = 0) -> list[Estimate]:
         log_evidence: [E, H] nats, log p(episode | explanation), at least one finite per row.
 
     Raises:
-        ValueError: If a row has no finite value.
+        ValueError: If it is anything else.
     """
-    log_evidence = np.asarray(log_evidence, float)
-    if log_evidence.ndim != 2 or not log_evidence.size:
-        raise ValueError(f"evidence must be of episodes x explanations; got {log_evidence.shape}")
+    log_evidence = _checked(log_evidence)
     best = log_evidence.max(1, keepdims=True)
-    if not np.isfinite(best).all():
-        raise ValueError("an episode is impossible under every explanation")
     likelihood, explanations = np.exp(log_evidence - best), log_evidence.shape[1]
     rng = np.random.default_rng(seed)
     theta, drawn = np.full(explanations, 1 / explanations), []
@@ -45,5 +41,21 @@ def rates(log_evidence: np.ndarray, *, seed: int = 0) -> list[Estimate]:
 
 
 def pooled(log_evidence: np.ndarray) -> np.ndarray:
-    """Return the posterior [H] of one explanation for all episodes, from `log_evidence` [E, H]."""
-    return softmax(np.asarray(log_evidence, float).sum(0))
+    """Return the posterior [H] of one explanation for all episodes, from `log_evidence` [E, H].
+
+    Raises:
+        ValueError: If it is not as for `rates`, or no explanation is possible for all episodes.
+    """
+    joint = _checked(log_evidence).sum(0)
+    if not np.isfinite(joint).any():
+        raise ValueError("no explanation is possible for all episodes: see `rates`")
+    return softmax(joint)
+
+
+def _checked(log_evidence: np.ndarray) -> np.ndarray:
+    log_evidence = np.asarray(log_evidence, float)
+    if log_evidence.ndim != 2 or not log_evidence.size:
+        raise ValueError(f"evidence must be of episodes x explanations; got {log_evidence.shape}")
+    if not np.isfinite(log_evidence.max(1)).all():
+        raise ValueError("an episode is impossible under every explanation, or one is NaN or inf")
+    return log_evidence

@@ -17,7 +17,7 @@ from astray.envs.vector import Observation
 from astray.game import OWN
 from astray.imports import guarded
 from astray.training.trainer import Trainer
-from astray.validation import brief, one_of, shown
+from astray.validation import brief, check_words, of_kind, one_of, shown
 
 LEARNED_FROM = "from_sb3 takes observation='image' or 'symbolic', as a model learned of a game"
 
@@ -51,7 +51,7 @@ class Function:
         network: The network that it asks, if there is one that analyses can look into.
 
     Raises:
-        ValueError: If it is not callable, or does not return one action per observation.
+        ValueError: If a field is of another type, or it does not return an action per observation.
     """
 
     choose: Callable[..., Any]
@@ -62,8 +62,8 @@ class Function:
     network: Network | None = None
 
     def __post_init__(self) -> None:
-        if not callable(self.choose):
-            raise ValueError(f"choose must be a function of observations; got {shown(self.choose)}")
+        of_kind("choose", self.choose, Callable)
+        check_words(self)
 
     def actions(self, turn: Turn) -> Answer:
         """Return an action per observation; raise ValueError if the function does not."""

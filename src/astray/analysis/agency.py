@@ -22,8 +22,7 @@ from astray.analysis import video
 from astray.analysis.estimates import Estimate, estimate_mean
 from astray.analysis.outcomes import load_shift
 from astray.game import Game, Shift, Variant
-from astray.level import check_cell
-from astray.validation import one_of
+from astray.validation import check_cell, one_of
 from astray.witness import witnessed
 from astray.world import Layout, World, WorldVariant
 

@@ -145,10 +145,8 @@ def evaluate_runs(
     Warns:
         LeftOut: If the variant lacks knobs of the training.
     """
-    if isinstance(runs, str) or not isinstance(runs, Sequence):
+    if isinstance(runs, str) or not isinstance(runs, Sequence) or not runs:
         raise ValueError(f"runs must be a list of run folders; got {shown(runs)}")
-    if not runs:
-        raise ValueError("no run is given to evaluate")
     opened = [open_run(run, mode, art) for run in runs]
     config = opened[0][1]
     digests: dict[str, str | Path] = {}

@@ -182,12 +182,9 @@ def _is_planes(agent: Model) -> bool:
 
 
 def _mlp(agent: Model) -> MLP:
-    if not isinstance(agent.network, MLP):
-        raise ValueError(
-            "gradients of planes need the network mlp; occlusion takes any: got "
-            f"{type(agent.network).__name__}"
-        )
-    return agent.network
+    network: Any = agent.network
+    of_kind("the network for gradients of planes (occlusion takes any)", network, MLP)
+    return network
 
 
 def _value(agent: Model) -> Callable[[Tensor], Tensor]:

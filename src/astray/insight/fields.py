@@ -24,9 +24,9 @@ from astray.analysis.critic import ask
 from astray.analysis.trained import Model, Opaque
 from astray.game import Game, Variant
 from astray.insight.actions import effects, outcomes
-from astray.level import EMPTY, Cell, Level, check_cell
+from astray.level import EMPTY, Cell, Level
 from astray.record import trusted
-from astray.validation import of_kind, shown
+from astray.validation import check_cell, of_kind, shown
 
 AT_ONCE = 2048  # states; CoinRun's take 17 kB each
 

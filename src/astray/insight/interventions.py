@@ -44,8 +44,7 @@ def changed(agent: AnyModel, changes: Mapping[str, Change]) -> Iterator[AnyModel
     of_kind("changes", changes, Mapping)
     check_layers(agent, list(changes))
     for name, change in changes.items():
-        if not callable(change):
-            raise ValueError(f"what changes {name} must be a function; got {shown(change)}")
+        of_kind(f"the change of {name}", change, Callable)
     modules = dict(agent.network.named_modules())
     with contextlib.ExitStack() as stack:
         for name, change in changes.items():
@@ -222,9 +221,8 @@ def thinking(agent: Agent, ticks: int) -> Iterator[Agent]:
     Raises:
         ValueError: If the network does not tick, or not as often.
     """
-    network = getattr(agent, "network", None)
-    if not isinstance(network, DRC):
-        raise ValueError(f"only the network drc ticks; got {type(network).__name__}")
+    network: Any = getattr(agent, "network", None)
+    of_kind("the network that ticks", network, DRC)
     bounded("ticks", ticks, 1, network.repeats)
     before, network.repeats = network.repeats, ticks
     try:

@@ -165,8 +165,7 @@ class Condition:
             of_kind("each of the vectors", one, Vectors)
         finite("coefficient", self.coefficient)
         of_kind("own", self.own, bool)
-        if not callable(self.edit):
-            raise ValueError(f"an edit must be a function of levels; got {shown(self.edit)}")
+        of_kind("edit", self.edit, Callable)
 
 
 PLAIN = Condition()

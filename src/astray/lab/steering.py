@@ -8,7 +8,7 @@ from astray.analysis.trained import AnyModel
 from astray.insight.interventions import ablate, patch, steer
 from astray.insight.vectors import object_vectors
 from astray.lab.worlds import World
-from astray.validation import of_kind, one_of, shown
+from astray.validation import finite, of_kind, one_of, shown
 
 FIELDS = {"what", "layer", "thing", "coefficient", "channels", "value"}
 VECTOR, ABLATE, PATCH = "vector", "ablate", "patch"
@@ -45,7 +45,6 @@ def change(
 
 
 def _number(name: str, wanted: Mapping[str, Any]) -> float:
-    number = wanted.get(name, 1.0)
-    if type(number) not in (int, float) or abs(number) > STRONGEST:
-        raise ValueError(f"{name} must be a number up to {STRONGEST:g}; got {shown(number)}")
+    number: Any = wanted.get(name, 1.0)
+    finite(name, number, -STRONGEST, STRONGEST)
     return float(number)

@@ -74,7 +74,7 @@ class Helped(_Shown):
         for policy in (self.novice, self.expert):
             check_policy(policy)
         one_of("granularity", self.granularity, Granularity)
-        _check_score(self.score)
+        of_kind("a score", self.score, Callable)
         of_kind("threshold", self.threshold, int | float)  # also infinite: nobody, or everybody
         if isinstance(self.expert, Agent) and self.expert.observation != self.observation:
             raise ValueError(
@@ -117,18 +117,13 @@ class Alone(_Shown):
         check_policy(self.novice)
         of_kind("scores", self.scores, Sequence)
         for score in self.scores:
-            _check_score(score)
+            of_kind("a score", score, Callable)
 
     def actions(self, turn: Turn) -> Answer:
         with _asked_once(self.novice):
             own = self.novice.actions(turn)
             said = [np.asarray(s(turn.env, turn.observations), float) for s in self.scores]
         return own._replace(extra={f"{k}": scores for k, scores in enumerate(said)})
-
-
-def _check_score(score: Score) -> None:
-    if not callable(score):
-        raise ValueError(f"a score must be a function of environments; got {score!r}")
 
 
 @contextlib.contextmanager

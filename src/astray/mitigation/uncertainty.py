@@ -153,8 +153,7 @@ class Disagreement:
     def __post_init__(self) -> None:
         of_kind("agents", self.agents, Sequence)
         for agent in self.agents:
-            if not callable(getattr(agent, "outputs", None)):
-                raise ValueError(f"an agent of an ensemble must have outputs; got {shown(agent)}")
+            of_kind(f"outputs of {shown(agent)}", getattr(agent, "outputs", None), Callable)
             check_memoryless(agent)
         if len(self.agents) < 2:
             raise ValueError(f"an ensemble must have two agents at least; got {len(self.agents)}")
@@ -172,9 +171,8 @@ def features(agent: Agent, observations: np.ndarray) -> np.ndarray:
     Raises:
         ValueError: If the network is not one of astray's own.
     """
-    network = agent.network
-    if not isinstance(network, ActorCritic):
-        raise ValueError(f"features need a network of astray's; got {type(network).__name__}")
+    network: Any = agent.network
+    of_kind("the network of features", network, ActorCritic)
     shown = torch.from_numpy(observations).to(agent.device)
     chunk = AT_ONCE[agent.observation]
     found, _ = trained.outputs(lambda part: (network.hidden(part), part), shown, chunk)
