@@ -8,6 +8,7 @@ pytest.importorskip("starlette", reason="starlette is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
 import asyncio
+import contextlib
 import logging
 import re
 import socket
@@ -56,13 +57,24 @@ def test_every_file_of_the_page_is_served_and_nothing_else(served):
         assert fetched(served, path)[0] == 404
 
 
-def test_text_that_is_no_utf8_ends_the_page_and_is_logged_in_a_line(served):
+@contextlib.contextmanager
+def logged():
+    """The server's records in the meantime."""
     records = []
 
     class Kept(logging.Handler):
         def emit(self, record):
             records.append(record)
 
+    logger, kept = logging.getLogger("uvicorn.error"), Kept()
+    logger.addHandler(kept)
+    try:
+        yield records
+    finally:
+        logger.removeHandler(kept)
+
+
+def test_text_that_is_no_utf8_ends_the_page_and_is_logged_in_a_line(served):
     async def spoilt():
         parts = urlsplit(served)
         address = f"ws://{parts.netloc}{parts.path}socket"
@@ -71,14 +83,22 @@ def test_text_that_is_no_utf8_ends_the_page_and_is_logged_in_a_line(served):
             with pytest.raises(ConnectionClosedError, match="1007"):
                 await asyncio.wait_for(socket.recv(), 60)
 
-    logger, kept = logging.getLogger("uvicorn.error"), Kept()
-    logger.addHandler(kept)
-    try:
+    with logged() as records:
         run(spoilt())
-    finally:
-        logger.removeHandler(kept)
     assert all(record.exc_info is None for record in records)
     assert fetched(served)[0] == 200
+
+
+def test_a_request_whose_body_is_none_is_logged_in_lines(served):
+    parts = urlsplit(served)
+    head = (
+        f"POST {parts.path} HTTP/1.1\r\nHost: {parts.netloc}\r\nTransfer-Encoding: chunked\r\n\r\n"
+    )
+    with logged() as records, socket.create_connection((parts.hostname, parts.port)) as sent:
+        sent.sendall(head.encode() + b"zz\r\n")
+        assert sent.recv(100).startswith(b"HTTP/1.1 400")
+        assert fetched(served)[0] == 200
+    assert records and all(record.exc_info is None for record in records)
 
 
 class Leaving:

@@ -125,8 +125,9 @@ def make_app(lab: Lab, token: str, port: int) -> Any:
 
 
 def _in_one_line(record: logging.LogRecord) -> bool:
-    """Log invalid UTF-8 from a page without a traceback: the error is not the lab's."""
-    if record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError):
+    """Log invalid UTF-8 or HTTP from a page without a traceback: the error is not the lab's."""
+    kind = type(record.exc_info[1]).__name__ if record.exc_info else ""
+    if kind in ("UnicodeDecodeError", "LocalProtocolError"):  # h11's, of a body that is none
         record.exc_info = None
     return True
 
@@ -229,13 +230,11 @@ def serve(lab: Lab, port: int, browse: bool) -> None:
 
     import uvicorn
 
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
-        listener.bind((LOOPBACK, port))
-        listener.listen()  # from here on browsers are heard, if not answered at once
+        listener = socket.create_server((LOOPBACK, port))  # from here on browsers are heard
     except OSError as error:
-        listener.close()
-        raise OSError(f"cannot listen on port {port} of {LOOPBACK}: {error.strerror}") from None
+        said = error.strerror.partition(" (")[0]
+        raise OSError(f"cannot listen on port {port} of {LOOPBACK}: {said}") from None
     port, token = listener.getsockname()[1], secrets.token_urlsafe(24)
     address = f"http://{LOOPBACK}:{port}/{token}/"
     config = uvicorn.Config(
