@@ -233,7 +233,7 @@ def serve(lab: Lab, port: int, browse: bool) -> None:
     try:
         listener = socket.create_server((LOOPBACK, port))  # from here on browsers are heard
     except OSError as error:
-        said = error.strerror.partition(" (")[0]
+        said = (error.strerror or "").partition(" (")[0]
         raise OSError(f"cannot listen on port {port} of {LOOPBACK}: {said}") from None
     port, token = listener.getsockname()[1], secrets.token_urlsafe(24)
     address = f"http://{LOOPBACK}:{port}/{token}/"
