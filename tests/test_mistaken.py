@@ -4,13 +4,12 @@ import copy
 import json
 import os
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
 from astray import games, imports
-from astray.agency import devices, generators, maxent, population
+from astray.agency import devices, generators, population
 from astray.agency.agents import Agents
 from astray.agency.gridworld import World
 from astray.agency.measure import Episode, Options, decisions, measure_named
@@ -37,7 +36,6 @@ SMALL = MAZE.variant("corner-small")
 ROOM = World(np.ones((3, 3), bool))
 WALK = Episode(ROOM, ROOM.walk((0, 0), [0]), (2, 2))
 MASKED = np.ma.masked_array([1, 2], [True, False])
-likelihood = partial(maxent.log_likelihood, ROOM, WALK.trajectory, w=0.5)
 
 
 def small(**options):
@@ -108,11 +106,6 @@ def test_a_number_or_a_fact_of_another_type_is_refused(wrong, message):
             lambda: population.pooled(np.array([[0, -np.inf], [-np.inf, 0]])),
             "no explanation is possible for all episodes",
         ),
-        (lambda: likelihood(legal="no"), "legal must be a bool; got 'no'"),
-        (lambda: likelihood(w=True), "w must be between 0 and 1"),
-        (lambda: likelihood(w="0.5"), "w must be between 0 and 1"),
-        (lambda: maxent.log_likelihood(ROOM, "up", 0.5), "a trajectory must be a Trajectory"),
-        (lambda: maxent.log_likelihood(World.parse(".."), WALK.trajectory, 0.5), "cells of a traj"),
         (lambda: Function(len, name=3), "name must be a str; got 3"),
         (lambda: Function(len, observation="images"), "unknown observation 'images'; there are"),
         (lambda: Function(len, remembers="no"), "remembers must be a bool; got 'no'"),

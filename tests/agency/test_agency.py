@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import betainc, betaln
 
-from astray.agency import devices, maxent
+from astray.agency import devices
 from astray.agency.agents import of_every_cell
 from astray.agency.generators import Setting, erring, uniform_random, wander
 from astray.agency.gridworld import Trajectory, World
@@ -103,32 +103,6 @@ def test_a_device_that_sees_nothing_twice_is_as_good_as_none():
     assert evidence.log_device == pytest.approx(-5 * np.log(4), abs=1e-12)
 
 
-@pytest.mark.parametrize("legal", [False, True])
-def test_maxent_is_the_product_of_its_policy(legal):
-    world, w, goal = World.parse("....\n.#..\n...."), 0.7, 6
-    walked = world.walk((0, 2), [3, 3, 1, 3, 1, 2])
-    actions = world.legal if legal else np.ones_like(world.legal)
-    z = np.zeros(len(world))
-    for _ in range(2000):  # value iteration
-        z = w * (z[world.after] * actions).sum(1) / actions.sum(1)
-        z[goal] = 1.0
-    expected, there = 0.0, False
-    for t, action in enumerate(walked.actions):
-        here, after = walked.cells[t], walked.cells[t + 1]
-        there |= here == goal
-        expected -= np.log(actions[here].sum())
-        expected += 0 if there else np.log(w * z[after] / z[here])
-        assert action in np.flatnonzero(actions[here])
-    found = maxent.log_likelihood(world, walked, w, legal=legal)
-    assert found[goal] == pytest.approx(expected, abs=1e-10)
-
-
-def test_maxent_takes_all_shortest_ways_alike_when_steps_are_dear():
-    world = World.parse("...\n...\n...")
-    likelihood = maxent.log_likelihood(world, world.walk((0, 2), [1, 3, 1, 3]), 1e-6)
-    assert likelihood[world.number((2, 0))] == pytest.approx(-np.log(6), abs=1e-5)
-
-
 @pytest.mark.parametrize("options", OPTIONS)
 def test_the_last_of_the_online_evidence_is_the_whole(options):
     world, rng = MAPS["obstacles, 30 %"](), np.random.default_rng(0)
@@ -199,9 +173,6 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: Options(observations=("smell",)), "there are: type"),
         (lambda: Options(noise_atom=2), "from 0 to 1"),
         (lambda: Setting(ISLANDS, (0, 0), (4, 0), 0), "no way leads"),
-        (lambda: maxent.log_likelihood(SMALL, SMALL.walk((0, 2), [3]), 1.0), "between 0 and 1"),
-        (lambda: maxent.log_likelihood(MAPS["maze"](), MAPS["maze"]().walk((0, 19), [3]), 1e-4),
-         "too small"),
         (lambda: Setting(SMALL, (0, 2), (2, 2), -1), "seed must be an integer from 0 to"),
         (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=float("nan")),  # pyright: ignore
          "horizon must be an integer from 1 to 2147483647; got nan"),
