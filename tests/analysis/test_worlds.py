@@ -22,6 +22,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import evaluate_policies
+from astray.envs import worlds
 from astray.envs.worlds import WorldVectorEnv, check_repeats
 from astray.game import More, Never
 from helpers.rooms import CELLS, WORLD, Room
@@ -274,6 +275,28 @@ def test_processes_of_environments_leave_interrupts_to_their_parent(capfd, monke
         env.step(np.ones(2, int))
     env.close()
     assert not multiprocessing.active_children() and capfd.readouterr().err == ""
+
+
+def test_a_signal_while_processes_begin_is_that_signal(monkeypatch):
+    def begin(*_, **__):
+        with contextlib.suppress(KeyboardInterrupt):  # as Python does amid a fork
+            signal.raise_signal(signal.SIGINT)
+        raise BrokenPipeError  # of processes that had the signal, too
+
+    monkeypatch.setattr(worlds, "AsyncVectorEnv", begin)
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        WorldVectorEnv(replace(WORLD, workers=True), "anywhere", 2)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_process_that_dies_where_it_begins_is_told():
+    def make():
+        return os._exit(1) if multiprocessing.parent_process() else Room("anywhere")
+
+    world = replace(WORLD, workers=True, variants={"end": make, "anywhere": make})
+    with pytest.raises(RuntimeError, match="the process of an environment of room end died"):
+        WorldVectorEnv(world, "end", 2)
 
 
 def test_an_interrupt_while_actions_are_sent_is_no_error(monkeypatch):

@@ -4,13 +4,16 @@ import contextlib
 import logging
 import math
 import multiprocessing
+import os
+import signal
 import threading
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from functools import cache, partial
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils.env_checker import data_equivalence
@@ -48,11 +51,10 @@ class WorldVectorEnv:
         bounded("num_envs", num_envs, 1, MOST)
         self.game, self.variant, self.num_envs = world, world.variant(variant), num_envs
         makers = [partial(witnessed, world, self.variant, longest, i) for i in range(num_envs)]
-        self._envs: Any = (
-            AsyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
-            if world.workers
-            else InTurn(makers, NOTED, Watch(world.patience, f"an environment of {self.variant}"))
-        )
+        self._envs: Any = None
+        watch = Watch(world.patience, f"an environment of {self.variant}")
+        with self._watched():
+            self._envs = _forked(makers) if world.workers else InTurn(makers, NOTED, watch)
         self._amid = False  # whether processes were asked, and not all answered
         self.single_action_space = self._envs.single_action_space
         self.single_observation_space = self._envs.single_observation_space
@@ -220,8 +222,33 @@ class WorldVectorEnv:
             process.kill()
 
     def _give_up(self) -> None:
-        self._kill()
-        self._envs.closed = True  # to Gymnasium, which would wait for what is pending
+        if self._envs:  # else they did not begin
+            self._kill()
+            self._envs.closed = True  # to Gymnasium, which would wait for what is pending
+
+
+def _forked(makers: Sequence[Callable[[], gymnasium.Env]]) -> AsyncVectorEnv:
+    """Return environments with a process each; signals wait until all processes have begun.
+
+    An error that a signal raises amid a fork is ignored by Python.
+    """
+    parent, waiting = os.getpid(), []
+
+    def wait(number: int, _: object) -> None:
+        waiting.append(number)
+        if os.getpid() != parent and number == signal.SIGTERM:
+            os._exit(128 + number)
+
+    is_main = threading.current_thread() is threading.main_thread()
+    signals = (signal.SIGINT, signal.SIGTERM) if is_main else ()
+    before = [(number, signal.signal(number, wait)) for number in signals]
+    try:
+        return AsyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+    finally:
+        for number, handler in before:
+            signal.signal(number, handler)
+        for number in waiting:
+            signal.raise_signal(number)
 
 
 def _arrays(seen: Any) -> Iterator[np.ndarray]:
