@@ -14,7 +14,7 @@ from astray.agents.policy import usable
 from astray.training import checkpoint
 from astray.training.config import PRESETS
 from astray.training.log import Log
-from astray.training.loop import train
+from astray.training.loop import iterate, train
 from helpers.trainings import TINY, digest, train_to_first_checkpoint
 
 
@@ -88,6 +88,23 @@ def test_validation_never_touches_learning(tmp_path):
     train(replace(TINY, validation=None), tmp_path / "without", progress=False)
     one, two = (checkpoint.latest(tmp_path / n) / "agent.safetensors" for n in ("with", "without"))
     assert one.read_bytes() == two.read_bytes()
+
+
+def test_short_episodes_that_end_first_are_not_all_that_the_validation_tells(tmp_path):
+    # Of 20 steps an episode: after two rollouts of 8 there are only goals that were near.
+    config = TINY.changed(num_steps=8, validation_every=2, steps=8 * 16 * 8)
+    early, told = [], []
+    for iteration in iterate(config, tmp_path):
+        if iteration.number == 5:
+            break
+        early.append([row[1] for row in iteration.trainer.validation.recent])
+        told.append("validation/return" in iteration.metrics)
+    assert not any(told) and max(early[3]) < 20  # no episode that ran out of time
+    for iteration in iterate(config, tmp_path):
+        lengths = [row[1] for row in iteration.trainer.validation.recent]
+        assert iteration.metrics["validation/length"] == np.mean(lengths)
+        assert max(lengths) == 20
+    assert iteration.number == 8
 
 
 def test_validation_levels_are_not_training_levels():

@@ -6,6 +6,7 @@ it supports the network and the loss.
 
 import contextlib
 import functools
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -231,7 +232,8 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     metrics |= {f"update/{name}": x for name, x in update(trainer, rollout, rate).items()}
     trainer.steps += config.batch
     for name, player in trainer.players().items():
-        metrics |= {f"{name}/{what}": x for what, x in player.summary().items()}
+        told = player.summary(math.inf if player is trainer.player else trainer.validated)
+        metrics |= {f"{name}/{what}": x for what, x in told.items()}
         metrics |= {f"levels/{what}": x for what, x in player.sampled().items()}
     seconds = time.perf_counter() - began
     speed = {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds}

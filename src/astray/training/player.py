@@ -1,5 +1,6 @@
 """The players of a training: environments of one variant, with the actors in them."""
 
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -8,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from astray.acting import Answer, Turn
+from astray.acting import LASTING, Answer, Turn
 from astray.envs import restarting
 from astray.envs.restarting import Restarting
 from astray.envs.steps import Reward, paid
@@ -79,6 +80,8 @@ class Player:
             dtype=torch.uint8 if self.space.dtype == np.uint8 else torch.float32,
             pin_memory=config.device == "cuda",
         )
+        limit = getattr(variant, "time_limit", 0)  # which a World need not have
+        self.limit = limit if limit <= LASTING else 0
         self.device, self.seed = config.device, config.seed * 16 + salt
         # Seeds far apart: environment i of a batch seeded with k is seeded with k + i.
         first = self.seed * 2**32 + self.here.start
@@ -211,15 +214,19 @@ class Player:
         self.recent.extend(row for *_, row in ended)
         self._ended = []
 
-    def summary(self) -> dict[str, float]:
+    def summary(self, played: float = math.inf) -> dict[str, float]:
         """Return means over recent episodes and over the last rollout, which is reported once.
 
         Episodes have return, length in steps, and the fraction with each event. A rollout has
         reward_per_step, which exists without ended episodes too.
+
+        Args:
+            played: Steps of each environment so far. Episodes are not reported before the time
+                limit: until then only short ones have ended.
         """
         told = {} if self._reward is None else {"reward_per_step": self._reward}
         self._reward = None
-        if not self.recent:
+        if not self.recent or played < self.limit:
             return told
         means = np.mean(self.recent, axis=0)
         names = ("return", "length", *self.events)

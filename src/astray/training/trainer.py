@@ -170,6 +170,11 @@ class Trainer:
     def iteration(self) -> int:
         return self.steps // self.config.batch
 
+    @property
+    def validated(self) -> int:
+        """Number of steps that each environment of the validation has played."""
+        return -(-self.iteration // self.config.validation_every) * self.config.num_steps
+
     def players(self) -> dict[str, Player]:
         both = {"training": self.player, "validation": self.validation}
         return {name: player for name, player in both.items() if player is not None}
