@@ -130,8 +130,15 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
         def https_open(self, req: urllib.request.Request) -> http.client.HTTPResponse:
             return self.do_open(keep(http.client.HTTPSConnection), req)
 
+    class Onward(urllib.request.HTTPRedirectHandler):
+        def http_error_302(self, req: Any, fp: Any, code: Any, msg: Any, headers: Any) -> Any:
+            with fp:  # which would stay open where it sends on to no address
+                return super().http_error_302(req, fp, code, msg, headers)
+
+        http_error_301 = http_error_303 = http_error_307 = http_error_308 = http_error_302
+
     def ask() -> http.client.HTTPResponse:
-        return urllib.request.build_opener(Plain, Secure).open(request, timeout=WAIT)
+        return urllib.request.build_opener(Plain, Secure, Onward).open(request, timeout=WAIT)
 
     def stop() -> None:
         for connection in opened:  # else the thread would listen on
