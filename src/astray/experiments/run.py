@@ -292,7 +292,7 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
     study = [module for module in loaded if module.EXPERIMENT is whole]
     code = (whole.find, study) if whole else ()
     data = {
-        "configs": {n: [c.what() for c in made] for n, made in plan.trainings().items()},
+        "configs": {n: [c.identity() for c in made] for n, made in plan.trainings().items()},
         "agents": {
             n: [agent_digest(run, n in plan.own) for run in made] for n, made in runs.items()
         },

@@ -25,7 +25,7 @@ from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
 from astray.report.findings import Findings
 from astray.report.page import COMPUTED
-from astray.training.config import HOW, PRESETS, SOLVER, Config, Device, Named
+from astray.training.config import MACHINE, PRESETS, SOLVER, Config, Device, Named
 from astray.validation import MOST, bounded, of_kind, shown
 from astray.world import World
 
@@ -257,8 +257,8 @@ def open_agents(plan: Plan, runs: Runs) -> dict[str, list[Agent | Loaded]]:
 def name_of_run(config: Config) -> str:
     """Return the name of a training with these settings, equal in all experiments."""
     usual = PRESETS["paper"].flat()  # left out, so that a new setting changes no name
-    chosen = {name: config.flat()[name] for name in usual.keys() - {"seed", *HOW}}
-    settings = {name: value for name, value in chosen.items() if value != usual[name]}
+    apart = {"seed", *MACHINE}
+    settings = {k: v for k, v in config.flat().items() if k not in apart and v != usual[k]}
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
     return f"{config.game}-{config.variant}-{digest}/seed-{config.seed}"
 

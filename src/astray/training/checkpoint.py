@@ -117,7 +117,7 @@ def check_all(runs: Mapping[Path, Config]) -> None:
 
 def _compare(there: Config, here: Config, what: str) -> None:
     """Raise ValueError if two trainings would differ."""
-    one, two = (json.loads(json.dumps(c.what())) for c in (there, here))
+    one, two = (json.loads(json.dumps(c.identity())) for c in (there, here))
     differ = [f"{n} is {one[n]!r} there, {two[n]!r} here" for n in two if one[n] != two[n]]
     if differ:
         raise ValueError(f"{what}: {', '.join(differ)}")

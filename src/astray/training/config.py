@@ -28,7 +28,7 @@ else:
 SOLVER = "solver"  # the teacher that is no agent
 Device = Literal["cpu", "cuda", "mps"]
 Tracking = Literal["wandb", "trackio"]  # where else a training's metrics go
-HOW = ("device", "threads")  # settings of a training that may change while it goes on
+MACHINE = ("device", "threads")  # settings that may differ when a training is resumed
 RECORDS = {"sampler": Sampling, "fast": Fast}  # settings that hold several
 
 
@@ -324,9 +324,9 @@ class Config:
                 found[one.name] = dict(value) if one.name == "knobs" else value
         return found
 
-    def what(self) -> dict[str, Any]:
-        """Return all that a training is known by: the settings except device and threads."""
-        return {name: value for name, value in self.to_json().items() if name not in HOW}
+    def identity(self) -> dict[str, Any]:
+        """Return the settings that a resumed training must share: all but device and threads."""
+        return {name: value for name, value in self.to_json().items() if name not in MACHINE}
 
     def changed(self, **settings: Any) -> Config:
         """Return the settings with some changed, by their names in `flat`.
