@@ -252,7 +252,7 @@ EXPERIMENT = Experiment(
     sizes={
         "smoke": plan("smoke", (0, 2, 20), 10, 500),
         "pixels": plan("pixels", (0, 2, 20), 3, 500),
-        "night": plan("night", (0, 2, 20), 2, 1000),
+        "night": plan("night", (0, 2, 20), 3, 1000),
         "hour": plan("hour", (0, 2, 10), 1, 1000),
         "paper": plan("paper", FRACTIONS, 3, 10_000),
     },
