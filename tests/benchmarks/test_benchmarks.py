@@ -16,7 +16,9 @@ from astray.agents.policy import Architecture
 from astray.art import original
 from astray.cli.experiments import bench
 from astray.envs.vector import GameVectorEnv
-from benchmarks import agency, environments, insight, profile, start, tables, train, worlds
+from astray.experiments import catalogue
+from astray.training.teacher import Teacher
+from benchmarks import agency, costs, environments, insight, profile, start, tables, train, worlds
 from benchmarks.plain import Loop
 from helpers.foreign import procgen_of_envpool
 
@@ -220,3 +222,35 @@ def test_in_a_clone_the_verb_finds_the_benchmarks(monkeypatch, capsys):
     agency_rows = [agency.Row("paper", 1, 2.0, 1.0)]
     bench("agency", markdown=True)
     assert "| paper | 1 | 2.00 | 1.00 |" in capsys.readouterr().out
+
+
+def test_a_study_costs_what_its_agents_do_each_once_with_their_teachers(monkeypatch):
+    def speeds(config, teacher, *_):
+        assert (config.teacher is None) == (teacher is None)
+        return (500.0 if config.teacher else 1000.0), 1000.0
+
+    monkeypatch.setattr(costs, "speed", speeds)
+    alone, taught = costs.measure(["maze-corner", "inherited-goals"], ["smoke"])
+    plan = catalogue.load("maze-corner").sizes["smoke"]
+    (mice,) = plan.agents.values()
+    assert (alone.agents, alone.steps) == (plan.seeds, plan.seeds * mice.steps)
+    assert alone.seconds == pytest.approx(alone.steps / 1000)
+    plan = catalogue.load("inherited-goals").sizes["smoke"]
+    lessons = plan.seeds * sum(plan.agents[name].steps for name in plan.teachers)
+    assert taught.agents == plan.seeds * len(plan.agents)
+    assert taught.seconds == pytest.approx(taught.steps / 1000 + lessons / 1000)  # all are lessons
+
+
+def test_half_of_a_training_in_lessons_costs_the_mean_of_both_speeds():
+    student = replace(TINY, teacher="solver", taught=0.5)
+    assert costs.cost(student, 500.0, 1000.0) == pytest.approx(0.0015)
+    assert costs.cost(TINY, 500.0, 1000.0) == pytest.approx(0.001)
+
+
+def test_a_students_lessons_are_measured_with_its_teacher(monkeypatch):
+    asked = []
+    says = Teacher.says
+    monkeypatch.setattr(Teacher, "says", lambda self, *at: asked.append(self) or says(self, *at))
+    small = replace(TINY, steps=10 * TINY.batch)
+    taught, alone = costs.speed(replace(small, teacher="a run"), small, 0.01, 1)
+    assert taught > 0 and alone > 0 and asked

@@ -19,7 +19,16 @@ from astray.training.settings import otherwise
 from astray.validation import bounded, brief, printable
 
 Benchmark = Literal[
-    "environments", "train", "networks", "eyes", "agency", "insight", "lab", "start", "worlds"
+    "environments",
+    "train",
+    "networks",
+    "costs",
+    "eyes",
+    "agency",
+    "insight",
+    "lab",
+    "start",
+    "worlds",
 ]
 
 

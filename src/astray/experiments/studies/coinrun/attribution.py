@@ -264,7 +264,7 @@ EXPERIMENT = Experiment(
     reproduces="Figure 8",
     question="What in view does the critic's value depend on: the coin, the end wall, hazards?",
     sizes=_agents.plans(
-        {"smoke": 100, "pixels": 100, "hour": 200, "paper": 500, "published": 120},
+        {"smoke": 100, "pixels": 100, "night": 100, "hour": 200, "paper": 500, "published": 120},
         visited=TESTS,
         published={"visited": BRIEF},
     ),
