@@ -18,18 +18,8 @@ from astray.training.config import PRESETS, Device, Tracking
 from astray.training.settings import otherwise
 from astray.validation import bounded, brief, printable
 
-Benchmark = Literal[
-    "environments",
-    "train",
-    "networks",
-    "costs",
-    "eyes",
-    "agency",
-    "insight",
-    "lab",
-    "start",
-    "worlds",
-]
+Benchmark = Literal["environments", "train", "networks", "costs", "eyes", "agency", "insight",
+                    "lab", "start", "worlds"]  # fmt: skip
 
 
 def list_(json: Json = False) -> None:
