@@ -20,6 +20,7 @@ from helpers.fake_cuda import cuda
 from helpers.trainings import OFF, PICTURES, PLAIN, digest
 
 GRAPHS = PLAIN.changed(device="cuda", cudagraphs=True, steps=1024, checkpoint_every=1)
+ENDING = replace(PLAIN, num_steps=40, timeouts="terminate")  # others are valued at once there
 ALL = PICTURES.changed(device="cuda", **dict.fromkeys(OFF) | {"compile": False})
 
 
@@ -30,17 +31,24 @@ def learned(config):
         rollout = collect(trainer)
         result += [x.clone() for x in vars(rollout).values()]
         result.append(torch.tensor(list(update(trainer, rollout, rate).values())))
+        trainer.steps += config.batch
     return [*result, *trainer.network.parameters()]
 
 
 @pytest.mark.parametrize(
-    "config", [replace(PLAIN, num_steps=40, timeouts="terminate"), PICTURES], ids=["mlp", "impala"]
+    ("config", "graphs"),
+    [
+        (ENDING, 2),
+        (PICTURES, 2),
+        (replace(ENDING, steps=3 * ENDING.batch, teacher="solver", taught=0.5), 3),
+    ],
+    ids=["mlp", "impala", "student"],
 )
-def test_graphs_learn_what_plain_calls_learn(config, monkeypatch):
+def test_graphs_learn_what_plain_calls_learn(config, graphs, monkeypatch):
     plain = learned(config)
     with cuda(monkeypatch) as pretended:
         replayed = learned(config.changed(device="cuda", cudagraphs=True))
-    assert len(pretended.graphs) == 2
+    assert len(pretended.graphs) == graphs
     assert all(torch.equal(a, b) for a, b in zip(plain, replayed, strict=True))
 
 

@@ -104,7 +104,7 @@ class Trainer:
             if teacher is None:
                 raise ValueError(f"a student of {config.teacher} must have a run folder")
             self.teacher = Teacher(teacher, config, self.actor, self.actor.rollout)
-        self._captured: Captured | None = None
+        self._captured: dict[bool, Captured] = {}  # whether of lessons -> learning
         graphs, rate = self.fast.using.cudagraphs, config.learning_rate
         self.optimizer = torch.optim.Adam(
             self.weights,
@@ -149,12 +149,12 @@ class Trainer:
     def repeat(
         self, function: Callable[[Tensor], dict[str, Tensor]], indices: Tensor
     ) -> dict[str, Tensor]:
-        """Return `function(indices)`, [B]; CUDA graphs replay the function of the first call."""
+        """Return `function(indices)`, [B]; CUDA graphs replay that of the first call."""
         if not self.fast.using.cudagraphs:
             return function(indices)
-        if self._captured is None:
-            self._captured = Captured(function, indices, state=self.learned)
-        return self._captured(indices)
+        if self.is_taught not in self._captured:
+            self._captured[self.is_taught] = Captured(function, indices, state=self.learned)
+        return self._captured[self.is_taught](indices)
 
     def learned(self) -> list[Tensor]:
         """Return the tensors that the optimizer changes: weights, and moments once they exist."""
@@ -247,8 +247,8 @@ class Trainer:
 
     def close(self) -> None:
         """Release the CUDA graphs; a communicator between processes cannot end before that."""
-        if self._captured:
-            self._captured.graph.reset()
+        for captured in self._captured.values():
+            captured.graph.reset()
         for player in self.players().values():
             for env in player.envs:
                 env.close()

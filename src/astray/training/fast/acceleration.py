@@ -100,8 +100,8 @@ def resolve(config: Config, ours: bool = True, planes: bool = True) -> Accelerat
         ValueError: If a setting asks for something unavailable.
     """
     cpu, cuda = config.device == "cpu", config.device == "cuda"
-    of_ppo = ours and config.teacher is None
-    sparse_here = of_ppo and cpu and config.network == "mlp" and planes and sparse.usable()
+    alone = config.teacher is None
+    sparse_here = ours and alone and cpu and config.network == "mlp" and planes and sparse.usable()
     fused_cpu = _settled("fused_cpu", config, sparse_here)
     native = cpu and bool(get_host_cpu_features().get("avx512bf16"))
     large = fused_cpu or config.network not in ("mlp", "clear")  # bfloat16 is worth it on a CPU
@@ -115,7 +115,8 @@ def resolve(config: Config, ours: bool = True, planes: bool = True) -> Accelerat
             "channels_last", config, ours and layout, suits=cuda or config.network == "cells"
         ),
         compile=_settled("compile", config, ours and compiler, suits=cuda),
-        cudagraphs=_settled("cudagraphs", config, of_ppo and cuda),
+        # Those of students are to be asked for: they have not run on a real GPU.
+        cudagraphs=_settled("cudagraphs", config, ours and cuda, suits=alone),
         microbatch=microbatch(config, ours and cpu and config.network != "mlp"),
         groups=groups(config),
         together=fused_cpu or cuda,
