@@ -9,6 +9,7 @@ from astray.envs.vector import GameVectorEnv
 
 FOLDER = Path(__file__).parent / "field-worlds"
 SIDE, GAP = 224, 8  # pixels
+MAGENTA = (255, 0, 255)  # a colour that no picture has
 PAIRS = {  # a training and a test variant of each world
     "pottery": ("corner", "anywhere"),
     "monsters": ("short", "calm"),
@@ -39,9 +40,10 @@ def main() -> None:
     FOLDER.mkdir(exist_ok=True)
     for game, pair in PAIRS.items():
         one, two = (picture(game, variant) for variant in pair)
-        between = np.full((SIDE, GAP, 3), 255, np.uint8)
-        sheet = np.concatenate([one, between, two], 1)
-        Image.fromarray(sheet).quantize(64).save(FOLDER / f"{game}.png", optimize=True)
+        between = np.full((SIDE, GAP, 3), MAGENTA, np.uint8)
+        sheet = Image.fromarray(np.concatenate([one, between, two], 1)).quantize(64)
+        gap = sheet.getpixel((SIDE, 0))  # transparent, for light and dark pages
+        sheet.save(FOLDER / f"{game}.png", optimize=True, transparency=gap)
 
 
 if __name__ == "__main__":

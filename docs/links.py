@@ -69,10 +69,12 @@ def accessible(output: str) -> str:
     """Return a page of the theme whose search and sections have names.
 
     No landmark has another's name, no header of a table is empty, and tables without links can be
-    reached, to be scrolled. No line ends within an option, a name with dashes in code, or a date in
-    a table.
+    reached, to be scrolled. No line ends within an option, a name with dashes in code, a date in a
+    table, or before a percent sign.
     """
-    output = CODE.sub(lambda m: WHOLE.sub(r'<span class="whole">\g<0></span>', m[0]), output)
+    output = CODE.sub(
+        lambda m: WHOLE.sub(r'<span class="whole">\g<0></span>', m[0]), report.with_percent(output)
+    )
     output = DATE.sub('<td class="whole">', output)
     output = SECTION.sub(r'\1aria-label="\2"', output).replace("<th></th>", "<td></td>")
     output = CONTENTS.sub(r'\1 role="presentation">', output)

@@ -280,7 +280,7 @@ def reset(**options):
         (lambda: estimate_mean([]), "values must be .agents, levels., at least one of each"),
         (lambda: estimate_mean([[1.0, 2.0]], [[-1.0, 1.0]]), "numbers, none below 0"),
         (lambda: over_agents(np.zeros(3)), "values must be .agents, points."),
-        (lambda: Function(None), "choose must be a Callable; got None"),
+        (lambda: Function(None), "choose must be a function; got None"),
         (lambda: World(None), "a world must be a ndarray; got None"),
         (lambda: ROOM.number((0.0, 1)), "a cell must be two integers, x and y; got"),
         (lambda: ROOM.walk((0, 0), [1.5]), "an action must be an integer from 0 to 3; got 1.5"),

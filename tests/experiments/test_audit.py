@@ -33,7 +33,7 @@ def test_an_audit_tells_what_a_policy_of_ones_own_pursues(tmp_path):
     told = dict(table.select("goal", "mean").rows())
     by_hand = np.mean([square > CELLS // 2 for square in squares]) - 1
     assert told["square"] == pytest.approx(by_hand)
-    assert f"minus the same levels of end: square {100 * by_hand:.1f} %" in text
+    assert f"minus the same levels of end: square {100 * by_hand:.1f}\u00a0%" in text
     assert "random" in pl.read_parquet(page.parent / "tables" / "outcomes.parquet")["policy"]
 
 

@@ -196,7 +196,7 @@ def test_what_agents_trained_here_do_stands_beside_the_published(tmp_path):
     beside = report.of_claims(tmp_path / "n-smoke")
     assert beside == {"It runs.": "7 % (not supported)"}
     page = report.write(HEADING, mine, tmp_path / "n-published", beside).read_text()
-    assert "<dt>trained here</dt><dd>7 % (not supported)</dd>" in page
+    assert "<dt>trained here</dt><dd>7\u00a0% (not supported)</dd>" in page
     assert report.of_claims(tmp_path / "nothing") == {}
 
 

@@ -205,7 +205,8 @@ def test_a_report_contains_every_claim_and_whether_it_is_supported(told, tmp_pat
     shown = re.findall(r'<li class="(\w+)">(.*?)</li>', page, re.DOTALL)
     assert [kind for kind, _ in shown] == ["supported", "not"]
     for claim, (_, text) in zip(told[1].claims, shown, strict=True):
-        assert claim.sentence in text and claim.paper in text and claim.ours in text
+        assert claim.sentence in text and claim.paper in text
+        assert report.with_percent(claim.ours) in text
         assert ("not supported" in text) is not claim.supported
 
 
@@ -311,7 +312,7 @@ def test_a_page_tells_the_values_of_its_figures_under_the_pointer(told, chrome, 
     plot = shown.locator("[data-points]")
     plot.focus()
     shown.keyboard.press("ArrowRight")
-    assert plot.locator("output").text_content() == f"agents, {MISGENERALIZED}: 68.0 %"
+    assert plot.locator("output").text_content() == f"agents, {MISGENERALIZED}: 68.0\u00a0%"
     shown.keyboard.press("Escape")
     assert plot.locator("output").text_content() == "" and not said
     context.close()
@@ -329,6 +330,20 @@ def test_what_stands_between_backticks_is_code():
     assert report.coded("a < `b` and `c") == "a &lt; <code>b</code> and `c"
     said = report.coded("p = 1.8e-52, at 1-2")
     assert said == 'p = <span class="short">1.8e-52</span>, at 1-2', "no line ends within it"
+
+
+def test_no_line_of_a_text_ends_between_a_number_and_its_percent_sign():
+    said = report.with_percent("<p>8 % of <code>8 % 2</code></p><script>8 % 2</script> 9.0 %")
+    assert said == "<p>8\u00a0% of <code>8 % 2</code></p><script>8 % 2</script> 9.0\u00a0%"
+
+
+def test_a_drawing_of_many_rows_counts_equal_ones_and_is_there_as_a_whole(tmp_path):
+    level = Code("\n".join(["####"] * 2 + ["#..#"] * 30 + ["#@.#"]))
+    assert level.brief.splitlines() == ["####"] * 2 + ["#..#", "  … 29 more rows like this", "#@.#"]
+    assert Code("\n".join(["#"] * 20)).brief == "\n".join(["#"] * 20), "few enough"
+    report.write_page(tmp_path / "page.html", "a level", [Section("", [level])], figures=tmp_path)
+    page = (tmp_path / "page.html").read_text()
+    assert level.brief in page and level in page.split("All 33 rows, to be copied")[1]
 
 
 def test_no_line_of_code_ends_within_an_option_or_a_name():

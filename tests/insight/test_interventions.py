@@ -173,7 +173,7 @@ def test_a_cell_of_a_level_is_found_in_a_layer(tmp_path):
         (lambda a: steer(a, {"features.relu1": np.full(16, np.nan)}), "finite numbers"),
         (lambda a: steer(a, {"features.relu1": np.ones(16)}, np.inf), "coefficient must be a fin"),
         (lambda a: steer(a, {"features.relu1": np.ones(16)}, "1"), "coefficient must be a fin"),
-        (lambda a: changed(a, {"features.relu1": 1}), "relu1 must be a Callable; got 1"),
+        (lambda a: changed(a, {"features.relu1": 1}), "relu1 must be a function; got 1"),
         (lambda a: patch(a, "spread", [1], 0.0, (0, 1, 2)), "a cell must be two integers"),
         (lambda a: patch(a, "spread", [1], 0.0, "ab"), "a cell must be two integers"),
         (lambda a: patch(a, "features.relu1", [16], 0.0), "channels must be from 0 to 15"),

@@ -36,7 +36,7 @@ def agent(tmp_path):
         (lambda a: observe(None, "corner-small", np.zeros(1)), "agent must be a Agent"),
         (lambda a: observe(a, "corner-small", [1]), "states must be a ndarray"),
         (lambda a: capture(a, "corner-small", np.zeros(3), ["spread"]), "records of maze"),
-        (lambda a: counterfactual(a, "corner-small", LEVEL, "x"), "edit must be a Callable"),
+        (lambda a: counterfactual(a, "corner-small", LEVEL, "x"), "edit must be a function"),
         (lambda a: capture(a, "corner-small", LEVEL, [["spread"]]), "unknown layer .*spread"),
         (lambda a: layers(None), "agent must be a Agent"),
         (lambda a: pair_vectors(a, "corner-small", "spread", None, None), "states must be a nda"),

@@ -357,8 +357,8 @@ def test_two_policies_are_compared_by_what_their_actions_do(chrome, request, way
           return lab.part("comparison").textContent;
         }"""
         left = [0, 1, 2]  # names of one move; 5 and 3 are up and down
-        assert "differ by 0 % on average" in page.evaluate(mixed, left)
-        assert "differ by 0 % on average" not in page.evaluate(mixed, [5, 3]) and not told
+        assert "differ by 0\u00a0% on average" in page.evaluate(mixed, left)
+        assert "differ by 0\u00a0% on average" not in page.evaluate(mixed, [5, 3]) and not told
         forgets = """() => {
           lab.about.agents["an elephant"] = { caveat: "It remembers." };
           lab.part("compare").add(new Option("", "agent an elephant", false, true));

@@ -195,6 +195,13 @@ def test_a_splay_counts_every_place_of_the_cheese(session):
     assert all(sum(outcome.values()) == 2 for outcome in told["outcomes"])
 
 
+def test_a_splay_counts_goals_that_only_the_end_of_an_episode_shows(session):
+    asked = {"game": "tomatoes", "variant": "bucket", "agent": "tomatoes-bucket"}
+    drawn = "dddddd\ndddddd\n######\n######\n######\n@B####"  # no tomato can be reached
+    told = ask(session, "splay", **asked, level=drawn, thing="agent")
+    assert told["outcomes"] == [{"more hiding": 1}]
+
+
 @pytest.mark.parametrize("game", ["maze", "keys", "coinrun"])
 def test_a_level_that_a_page_moved_the_agent_in_is_one(session, game):
     variant = {"maze": "anywhere-small", "keys": "many-keys-small", "coinrun": "coin-end"}[game]

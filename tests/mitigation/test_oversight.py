@@ -261,7 +261,7 @@ SCORES = pl.DataFrame({"level": [0, 1], "score": [0.1, 0.2]})
         (lambda: threshold(SCORES, np.nan, "step"), "percentile must be a finite number from 0 to"),
         (lambda: threshold(SCORES, 95, "steps"), "unknown granularity 'steps'"),
         (lambda: net_returns(SCORES, ["1"]), "a cost must be a finite number"),
-        (lambda: Helped(Walk("cheese"), Walk("corner"), 0.5, 0.5), "a score must be a Callable"),
+        (lambda: Helped(Walk("cheese"), Walk("corner"), 0.5, 0.5), "a score must be a function"),
         (lambda: Helped(Walk("cheese"), Walk("corner"), Chance(), "1"), "threshold must be a int"),
         (lambda: Trial("maze", "corner", *[None] * 4), "shift must be a Shift"),
     ],

@@ -151,7 +151,7 @@ def _verdict(asked: Asked) -> str:
     alike = others.filter(outcome=outcome).height
     return (
         f"Here the agent {said}. With the {asked.named(single[0])} anywhere else in the level, the "
-        f"same comes first in {alike} of {len(others)} places."
+        f"outcome is the same in {alike} of {len(others)} places."
     )
 
 
@@ -243,7 +243,7 @@ def _moved(asked: Asked, name: str) -> Section:
         for one, outcome in zip(family.values(), played["outcome"], strict=True)
     }
     shaded = field_figures.heat_map(
-        asked.level.removed(name), reached, art=asked.agent.art, label="intended goal first"
+        asked.level.removed(name), reached, art=asked.agent.art, label=INTENDED
     )
     told = ", ".join(f"{outcome} in {count}" for outcome, count in counts.most_common())
     called = asked.named(name)
@@ -251,7 +251,7 @@ def _moved(asked: Asked, name: str) -> Section:
         f"moved-{slug(name)}",
         f"With the {called} anywhere else",
         f"An episode for each of {len(family)} places: {told}. A cell is bright where "
-        f"the agent reaches the intended goal first if the {called} lies there.",
+        f"the episode has the intended goal if the {called} lies there.",
         field_figures.side_by_side([shaded]),
         played.select("name", "outcome", "return", "length"),
     )

@@ -151,20 +151,23 @@ def splay(
 ) -> Iterator[dict[str, Any]]:
     """Yield the first goal that the agent reaches for every place of an object, in batches.
 
+    Goals that only the end of an episode shows are counted there.
+
     Values are numbers of episodes out of `draws`, which differ in the sampled actions. ValueError
     is raised if there are too many places.
     """
     levels = world.level.splay(thing, at)
     if len(levels) > PLACES:
         raise ValueError(f"a splay is of at most {PLACES} places; here are {len(levels)}")
-    first, of, events = agent.seed, len(levels), world.game.events_of(shift)
+    first, of = agent.seed, len(levels)
+    ends = {goal: world.game.goals[goal] for goal in (shift.intended, *shift.proxies)}
     for begin in range(0, of, TOGETHER):
         some = levels[begin : begin + TOGETHER]
         outcomes = [dict[str, int]() for _ in some]
         for draw in range(draws):
             agent.seed = first + draw
             named = {str(k): level for k, level in enumerate(some)}
-            played = _outcomes(agent, world.game, world.variant, named, events)
+            played = _outcomes(agent, world.game, world.variant, named, ends)
             for k, (outcome, _) in enumerate(played):
                 outcomes[k][outcome] = outcomes[k].get(outcome, 0) + 1
         where = [_place(level, thing, at, world) for level in some]

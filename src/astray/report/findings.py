@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,8 @@ from astray.validation import command_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+BRIEF = 20  # rows of a drawing that is shown as it is
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,15 @@ class Heading:
 
 class Code(str):
     """A text that is shown verbatim."""
+
+    @property
+    def brief(self) -> str:
+        """The text; of more than `BRIEF` rows, equal ones one after the other are counted."""
+        short = []
+        for row, alike in groupby(self.splitlines()):
+            count = len([*alike])
+            short += [row, f"  … {count - 1} more rows like this"] if count > 3 else [row] * count
+        return self if self.count("\n") < BRIEF else "\n".join(short)
 
 
 # What is beside each other in a section: text, claims, settings, and what is shown.

@@ -29,6 +29,7 @@ MEDIA = {".png": "image/png", ".svg": "image/svg+xml", ".mp4": "video/mp4"}
 NOTHING = "—"
 MEAN = ("mean", "low", "high")
 UNTOLD = ("rows", "freedom")  # of tables: what intervals were computed with
+PERCENT = re.compile(r"<(code|script)\b.*?</\1>|(?<=\d) (?=%)", re.DOTALL)  # a space only in texts
 WHOLE = re.compile(r"(?<![\w-])(?:--?\w[\w-]*|\w+(?:-\w+)+)")  # an option, a name with dashes
 
 
@@ -158,7 +159,13 @@ def _render(template: str, **what: Any) -> str:
     environment.filters |= more | kind | {"code": code, "coded": coded}
     script = files("astray.report").joinpath("hover.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return environment.get_template(template).render(script=Markup(script), digest=digest, **what)
+    page = environment.get_template(template).render(script=Markup(script), digest=digest, **what)
+    return with_percent(page)
+
+
+def with_percent(page: str) -> str:
+    """Return a page in HTML in whose texts no line ends between a number and its percent sign."""
+    return PERCENT.sub(lambda found: found[0] if found[1] else "\u00a0", page)
 
 
 def coded(text: str) -> Markup:

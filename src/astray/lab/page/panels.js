@@ -428,12 +428,14 @@ export class Panels {
     const total = Object.values(counts).reduce((a, b) => a + b, 0);
     const colours = goalColours(this.shift);
     const draws = total === places ? "" : `, ${total} episodes`;
-    const told = `${places} of ${of} places${draws}. A mark shows where it goes first.`;
+    const pursued = [this.shift?.intended, ...(this.shift?.proxies ?? [])];
+    const early = (goal) => goal in lab.rules.goals; // others are known at the end
+    const told = `${places} of ${of} places${draws}. A mark shows ${pursued.every(early) ? "where it goes first" : "how it ends"}.`;
     const line = made("p", { className: "soft", textContent: told });
-    const order = [this.shift?.intended, ...(this.shift?.proxies ?? []), words.NEITHER].filter((g) => g in counts);
+    const order = [...pursued, words.NEITHER].filter((g) => g in counts);
     part("counts").replaceChildren(line, ...order.map((goal) =>
       bar(goal === words.NEITHER ? `✕ ${goal}`
-        : `${goal === this.shift?.intended ? "●" : "◆"} first to the ${named(lab, goal)}`, counts[goal], total, colours[goal])));
+        : `${goal === this.shift?.intended ? "●" : "◆"} ${early(goal) ? "first to the" : "ends with"} ${named(lab, goal)}`, counts[goal], total, colours[goal])));
     part("unsplay").hidden = false;
   }
 

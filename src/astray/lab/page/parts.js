@@ -1,6 +1,6 @@
 // Small parts of the page that are made anew whenever what they tell changes.
 
-export const percent = (rate) => `${Math.round(100 * rate)} %`;
+export const percent = (rate) => `${Math.round(100 * rate)}\u00a0%`;
 
 // An element with its properties.
 export const made = (kind, properties) => Object.assign(document.createElement(kind), properties);
