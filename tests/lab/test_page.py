@@ -317,10 +317,13 @@ def test_panels_are_in_two_columns_beside_the_board_of_a_wide_window(chrome, sta
 
 def test_a_splay_is_shown_with_counts(page):
     show(page, ROOM)
+    page.evaluate("lab.panels.status = (what) => { (lab.said ??= []).push(what); }")
     page.get_by_role("button", name="Play them all").click()
     wait(page, "lab.splay.size === lab.fields.size")
     text = page.locator("[data-lab=counts]").text_content()
     assert "first to the" in text and f"of {page.evaluate('lab.splay.size')}" in text
+    wait(page, "lab.said.at(-1) === 'connected'")
+    assert page.evaluate("lab.said[0]") == "Playing …", "which may take long"
 
 
 def test_a_link_holds_level_and_agent(chrome, page, served):

@@ -404,7 +404,9 @@ export class Lab {
       this.panels.splayed(of);
       this.stage.redraw();
     };
+    this.panels.status("Playing …"); // a large level's first places may take a minute
     await this.tried(() => this.#ask(this.question("splay", { thing, cell, draws }), add));
+    this.panels.status("connected");
   }
 
   async askReading() {
