@@ -27,7 +27,7 @@ from astray.validation import finite, of_kind
 GAMMA, LAMBDA = 0.999, 0.95  # the paper's
 LIKELY = 0.02  # mean probability that an action has to be drawn by itself
 MOST_SHOWN = 5  # actions
-STILL = 8  # steps in one place, after which the rest of an episode in it is not drawn
+STILL = 8  # steps in few places, after which the rest of an episode in these is not drawn
 ADVANTAGE, POLICY, TRUE = "advantage of the action taken", "policy", "labels that hold"
 
 
@@ -53,12 +53,12 @@ class Course:
 
     @property
     def idle(self) -> int:
-        """Number of last steps, beyond the first few in one place, that the agent stays there."""
+        """Number of last steps, beyond the first few in the last places, that it stays in these."""
         if not {"x", "y"} <= {*self.table.columns}:
             return 0
-        places = self.table.select("x", "y").to_numpy()
-        moved = np.flatnonzero((places != places[-1]).any(1))
-        return max(0, len(places) - 1 - int(moved.max(initial=-1)) - STILL)
+        places = self.table.select("x", "y").rows()
+        elsewhere = [k for k, place in enumerate(places) if place not in places[-STILL:]]
+        return max(0, len(places) - 1 - max(elsewhere, default=-1) - STILL)
 
 
 def along(
