@@ -338,12 +338,12 @@ def test_no_line_of_a_text_ends_between_a_number_and_its_percent_sign():
 
 
 def test_a_drawing_of_many_rows_counts_equal_ones_and_is_there_as_a_whole(tmp_path):
-    level = Code("\n".join(["####"] * 2 + ["#..#"] * 30 + ["#@.#"]))
-    assert level.brief.splitlines() == ["####"] * 2 + ["#..#", "  … 29 more rows like this", "#@.#"]
-    assert Code("\n".join(["#"] * 20)).brief == "\n".join(["#"] * 20), "few enough"
+    level = Code("\n".join(["####"] * 2 + ["#..#"] * 50 + ["#@.#"]))
+    assert level.brief.splitlines() == ["####"] * 2 + ["#..#", "  … 49 more rows like this", "#@.#"]
+    assert Code("\n".join(["#"] * 40)).brief == "\n".join(["#"] * 40), "few enough"
     report.write_page(tmp_path / "page.html", "a level", [Section("", [level])], figures=tmp_path)
     page = (tmp_path / "page.html").read_text()
-    assert level.brief in page and level in page.split("All 33 rows, to be copied")[1]
+    assert level.brief in page and level in page.split("All 53 rows, to be copied")[1]
 
 
 def test_no_line_of_code_ends_within_an_option_or_a_name():

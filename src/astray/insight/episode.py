@@ -27,7 +27,7 @@ from astray.validation import finite, of_kind
 GAMMA, LAMBDA = 0.999, 0.95  # the paper's
 LIKELY = 0.02  # mean probability that an action has to be drawn by itself
 MOST_SHOWN = 5  # actions
-STILL = 8  # steps in few places, after which the rest of an episode in these is not drawn
+STILL = 8  # steps in one or two places, after which the rest of an episode there is not drawn
 ADVANTAGE, POLICY, TRUE = "advantage of the action taken", "policy", "labels that hold"
 
 
@@ -53,11 +53,11 @@ class Course:
 
     @property
     def idle(self) -> int:
-        """Number of last steps, beyond the first few in the last places, that it stays in these."""
+        """Number of last steps, beyond the first few, that it stays in its last two places."""
         if not {"x", "y"} <= {*self.table.columns}:
             return 0
         places = self.table.select("x", "y").rows()
-        elsewhere = [k for k, place in enumerate(places) if place not in places[-STILL:]]
+        elsewhere = [k for k, place in enumerate(places) if place not in places[-2:]]
         return max(0, len(places) - 1 - max(elsewhere, default=-1) - STILL)
 
 

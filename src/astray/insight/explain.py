@@ -343,7 +343,7 @@ def _episode(asked: Asked) -> list[Section]:
     events = [f"{name} at step {k}" for name, k in happened.items()]
     said = f"{len(course.table)} steps: {', '.join(events) or 'no event'}."
     if course.idle:
-        said += f" The last {course.idle} steps, in which it comes to no new place, are not drawn."
+        said += f" The last {course.idle} steps, in one or two places, are not drawn."
     return [_part("episode", "Its episode", said, episode.figure(course), course.table)]
 
 

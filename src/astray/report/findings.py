@@ -17,7 +17,7 @@ from astray.validation import command_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-BRIEF = 20  # rows of a drawing that is shown as it is
+BRIEF = 40  # rows of a drawing that is shown as it is
 
 
 @dataclass(frozen=True)
