@@ -1,5 +1,6 @@
 """What several tests are given."""
 
+import multiprocessing
 import signal
 import sys
 from pathlib import Path
@@ -26,14 +27,18 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.fixture(autouse=True)
-def _as_many_threads():
+def _threads_and_processes_as_before():
     """Leaves torch the threads that it had: with a second one, what follows takes ten times longer.
 
-    Each waits for the other, and keeps a core busy.
+    Each waits for the other, and keeps a core busy. Processes begin as they did, which torchrl
+    changes where it is imported: each of an environment's then took three seconds, not a tenth.
     """
     torch = sys.modules.get("torch")
     before = torch.get_num_threads() if torch else None
+    begins = multiprocessing.get_start_method(allow_none=True)
     yield
+    if multiprocessing.get_start_method(allow_none=True) != begins:
+        multiprocessing.set_start_method(begins, force=True)
     if torch and torch.get_num_threads() != before:
         torch.set_num_threads(before)
 

@@ -242,7 +242,7 @@ def test_observations_outside_their_space_are_told_once(workers, caplog):
     said = f"observations of bright room {workers} are not all in Box(0.0, 1.0, (2, 9), float32)"
     for _ in range(2):
         play(RIGHT, world)
-    assert caplog.messages == [said]
+    assert [one for one in caplog.messages if "levels played" not in one] == [said]
 
 
 @pytest.mark.parametrize("workers", [False, True])
