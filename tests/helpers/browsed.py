@@ -15,7 +15,6 @@ import pytest
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 PATIENCE = 120  # seconds until a page shows what is waited for; machines may be busy
 LOADED, ARROWS = "globalThis.lab?.ready", "lab.fields.size > 0"
-READY = f"{LOADED} && {ARROWS}"
 ROOM = "#######\n#....G#\n#.###.#\n#.#...#\n#.#.#.#\n#@....#\n#######"
 TOKEN = "a-token-that-nobody-guesses"
 # Plays actions in a level by the rules of a page, and tells its states.
@@ -76,6 +75,25 @@ def opened(browser, address, ready=ARROWS, **options):
     wait(page, f"{LOADED} && {ready}")
     yield page, told
     context.close()
+
+
+@contextmanager
+def modules_of(browser, address):
+    """A page that imports the lab's modules when it is asked to, and loads none before."""
+    page = browser.new_page()
+    page.goto(address + "lab.css")
+    yield page
+    page.context.close()
+
+
+def load_anew(window, address, ready=ARROWS):
+    """Load a page of the lab in a window where one was; in a new one it would be compiled again."""
+    page, told = window
+    told.clear()
+    page.goto("about:blank")
+    page.goto(address)
+    wait(page, f"{LOADED} && {ready}")
+    return page
 
 
 def violations(page):

@@ -33,6 +33,13 @@ def served():
 
 
 @pytest.fixture(scope="module")
+def window(chrome, served):
+    """A window to load pages in, and what they wrote to its console."""
+    with opened(chrome, served) as both:
+        yield both
+
+
+@pytest.fixture(scope="module")
 def page(chrome, static):
     """The page without Python, opened."""
     with opened(chrome, static) as (page, told):

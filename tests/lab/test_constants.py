@@ -26,7 +26,7 @@ from astray.lab import constants, goals, rules
 from astray.level import Level
 from astray.outcome import INTENDED, MISGENERALIZED
 from astray.training import ppo
-from helpers.browsed import PLAY, knobs, opened
+from helpers.browsed import PLAY, knobs, modules_of
 
 PLANES = [  # what each is a plane of, in an order that is not the game's
     ("maze", "anywhere-small", "SHAPE MOUSE COLOUR WALL"),
@@ -45,7 +45,7 @@ def test_planes_have_the_order_of_python(chrome, static, exported, monkeypatch, 
     places = [getattr(draw, f"{plane}_PLANE") for plane in order.split()]
     for place, plane in enumerate(order.split()):
         monkeypatch.setattr(draw, f"{plane}_PLANE", place)
-    with now(exported), opened(chrome, static, "true") as (page, _):
+    with now(exported), modules_of(chrome, static) as page:
         (told,) = json.loads(
             page.evaluate(PLAY, [name, level.to_json(), knobs(game.variant(kind)), []])
         )
@@ -72,7 +72,7 @@ def test_the_page_has_the_number_of_levels_and_the_size_of_the_thief_from_python
 ):
     monkeypatch.setattr(record, "MOST", 100)
     monkeypatch.setattr(thief, "HALF", np.float32(2))
-    with now(exported), opened(chrome, static, "true") as (page, _):
+    with now(exported), modules_of(chrome, static) as page:
         wrong, drawn = page.evaluate(
             """async () => {
               const take = (path) => import(new URL(path, location.href));
@@ -101,7 +101,7 @@ def test_the_page_s_prior_of_errors_is_python_s(chrome, static, exported, monkey
     world = Gridworld(free)
     episode = measure.Episode(world, world.path(way), (4, 4))
     options = replace(CALIBRATED, goals="accessible", beta=3.0)
-    with now(exported), opened(chrome, static, "true") as (page, _):
+    with now(exported), modules_of(chrome, static) as page:
         told = page.evaluate(
             """async (way) => {
               const { posterior } = await import(new URL("agent/agency.js", location.href));
@@ -144,7 +144,7 @@ def test_the_page_draws_by_the_constants_that_python_has_now(chrome, static, exp
     for unit, below_one in ((2.0**-53, 1 - 1e-7), (2.0**-54, 0.5)):
         monkeypatch.setattr(rng, "TO_UNIT", unit)
         monkeypatch.setattr(ppo, "BELOW_ONE", below_one)
-        with now(exported), opened(chrome, static, "true") as (page, _):
+        with now(exported), modules_of(chrome, static) as page:
             told.append(page.evaluate(program))
     drawn = np.zeros((1, 4), np.float32)
     rng.fill_noise(3, np.array([7]), np.array([2]), drawn)

@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("starlette", reason="starlette is not installed")
 
-from helpers.browsed import opened, violations, wait
+from helpers.browsed import load_anew, opened, violations, wait
 
 WIDTHS = {"laptop": (1280, 800), "tablet": (820, 1100), "phone": (390, 780)}
 
@@ -22,13 +22,13 @@ WIDTHS = {"laptop": (1280, 800), "tablet": (820, 1100), "phone": (390, 780)}
     ],
 )
 def test_a_link_that_cannot_be_opened_says_so_and_shows_no_other_agent(
-    chrome, served, change, agent, said
+    window, served, change, agent, said
 ):
     link = f"{served}#game=maze&variant=anywhere-small&agent=maze-corner&level=17"
-    with opened(chrome, link.replace(*change), ready="lab.level") as (page, told):
-        assert page.evaluate("lab.agent") == agent and not told
-        problem = page.locator("[data-lab=problem]")
-        assert problem.is_visible() == bool(said) and said in problem.text_content()
+    page = load_anew(window, link.replace(*change), ready="lab.level")
+    assert page.evaluate("lab.agent") == agent and not window[1]
+    problem = page.locator("[data-lab=problem]")
+    assert problem.is_visible() == bool(said) and said in problem.text_content()
 
 
 def test_a_level_that_was_not_exported_is_told_and_another_one_shown(chrome, static):
@@ -55,15 +55,16 @@ def test_nothing_can_be_used_before_it_is_loaded(chrome, static):
         *(pytest.param(width, "dark", marks=pytest.mark.thorough) for width in ("tablet", "phone")),
     ],
 )
-def test_nothing_is_wider_than_the_page(chrome, served, width, theme):
+def test_nothing_is_wider_than_the_page(window, served, width, theme):
     columns, rows = WIDTHS[width]
-    size = {"width": columns, "height": rows}
-    with opened(chrome, served, viewport=size, color_scheme=theme) as (page, told):
-        page.evaluate("for (const part of document.querySelectorAll('details')) part.open = true")
-        assert page.evaluate("document.documentElement.scrollWidth") <= columns
-        background = page.evaluate("getComputedStyle(lab.root).backgroundColor")
-        assert (sum(map(int, background[4:-1].split(","))) < 200) == (theme == "dark")
-        assert not told
+    window[0].set_viewport_size({"width": columns, "height": rows})
+    window[0].emulate_media(color_scheme=theme)
+    page = load_anew(window, served)
+    page.evaluate("for (const part of document.querySelectorAll('details')) part.open = true")
+    assert page.evaluate("document.documentElement.scrollWidth") <= columns
+    background = page.evaluate("getComputedStyle(lab.root).backgroundColor")
+    assert (sum(map(int, background[4:-1].split(","))) < 200) == (theme == "dark")
+    assert not window[1]
 
 
 @pytest.mark.parametrize(

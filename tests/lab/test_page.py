@@ -15,25 +15,14 @@ from astray.analysis.runs import load_agent
 from astray.insight.fields import fields
 from astray.lab.serving import make_lab
 from astray.level import Level
-from helpers.browsed import READY, ROOM, free_port, lab_served, opened, wait
-
-
-@pytest.fixture(scope="module")
-def window(chrome, served):
-    with opened(chrome, served) as both:
-        yield both
+from helpers.browsed import ROOM, free_port, lab_served, load_anew, opened, wait
 
 
 @pytest.fixture
 def page(window, served):
-    """The lab, loaded anew in one window: in a new one, its modules would be compiled again."""
-    page, told = window
-    told.clear()
-    page.goto("about:blank")
-    page.goto(served)
-    wait(page, READY)
-    yield page
-    assert not told  # on the console
+    """The lab, loaded anew."""
+    yield load_anew(window, served)
+    assert not window[1]  # on the console
 
 
 def show(page, level):

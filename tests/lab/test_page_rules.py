@@ -13,7 +13,7 @@ from astray.insight.actions import effects
 from astray.lab import rules, translate
 from astray.lab.worlds import snapshot
 from astray.level import Level
-from helpers.browsed import PLAY, knobs, opened
+from helpers.browsed import PLAY, knobs, modules_of
 
 STEPS = 150  # of each episode at random, each three times
 PLAYED = [
@@ -242,7 +242,7 @@ def called(chrome, static, exported, tmp_path, body):
     _, there = translated(tmp_path, body)
     imported = f'import {{ {", ".join(translate.NAMES)} }} from "./python.js";\nconst game = 0;'
     (exported / "rules" / "asks.js").write_text(f"{imported}\n{there}\nexport {{ asks }};\n")
-    with opened(chrome, static, "true") as (page, _):
+    with modules_of(chrome, static) as page:
         return page.evaluate(
             """async () => {
               const { asks } = await import(new URL("rules/asks.js", location.href));
