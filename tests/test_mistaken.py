@@ -30,6 +30,7 @@ from astray.level_files import read_levels
 from astray.training.config import PRESETS, Config
 from astray.training.trainer import Trainer
 from astray.validation import bounded, finite
+from astray.world import register
 
 MAZE, KEYS = games.find("maze"), games.find("keys")
 SMALL = MAZE.variant("corner-small")
@@ -125,6 +126,14 @@ def test_a_number_or_a_fact_of_another_type_is_refused(wrong, message):
         (lambda: measure_named([WALK], [{"a": None}]), "cells of a goal must be a Collection; got"),
         (lambda: decisions(WALK, {}, Options()), "there must be a goal, and each"),
         (lambda: decisions(WALK, [(0, 0)], Options()), "goals must be a Mapping; got"),
+        (lambda: decisions([WALK, WALK], {}, Options()), r"episode must be a Episode; got \[Epi"),
+        (lambda: ROOM.trajectory(3), "steps must be pairs of a cell and an action; got 3"),
+        (lambda: ROOM.trajectory([(1, 2, 3)]), "steps must be pairs .*; got .*1, 2, 3"),
+        (lambda: ROOM.trajectory([((0, 0), 0), (0, 0)]), "a cell must be two integers, x and y"),
+        (lambda: population.rates(np.zeros((1, 2)), seed=0.5), "seed must be an integer from 0 to"),
+        (lambda: Random(seed=0.5), "seed must be an integer from 0 to .*; got 0.5"),
+        (lambda: Random(observation="images"), "unknown observation 'images'; there are"),
+        (lambda: register(3), "a world must be a World; got 3"),
     ],
 )
 def test_an_argument_of_another_kind_is_refused_and_not_read_as_another(wrong, message):

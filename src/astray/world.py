@@ -267,6 +267,7 @@ def register(world: World) -> None:
     Raises:
         ValueError: If the name is invalid, or a game's.
     """
+    of_kind("a world", world, World)
     if not re.fullmatch(r"[\w.-]+", world.name) or world.name in games.names():
         raise ValueError(
             f"a world's name must be of letters, digits, _, - and ., and no game's; got "

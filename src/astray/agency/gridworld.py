@@ -144,13 +144,17 @@ class World:
         Raises:
             ValueError: If a cell is not free or an action does not lead to the next cell.
         """
-        if not steps:
+        try:
+            pairs = [(cell, action) for cell, action in steps]
+        except (TypeError, ValueError) as error:
+            got = shown(steps)
+            raise ValueError(f"steps must be pairs of a cell and an action; got {got}") from error
+        if not pairs:
             raise ValueError("a trajectory without steps has no cells; `walk` makes an empty one")
-        made = self.walk(steps[0][0], (action for _, action in steps))
-        for t, (cell, _) in enumerate(steps):
-            there = self.cell(made.cells[t])
-            if tuple(cell) != there:
-                raise ValueError(f"step {t} begins in {tuple(cell)}, but the moves lead to {there}")
+        made = self.walk(pairs[0][0], (action for _, action in pairs))
+        for t, (cell, _) in enumerate(pairs):
+            if (begun := check_cell(cell)) != (there := self.cell(made.cells[t])):
+                raise ValueError(f"step {t} begins in {begun}, but the moves lead to {there}")
         return made
 
     def path(self, cells: Sequence[Cell]) -> Trajectory:

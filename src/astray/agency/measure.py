@@ -207,6 +207,7 @@ def decisions(episode: Episode, goals: Mapping[str, Sequence[Cell]], options: Op
     Raises:
         ValueError: If a goal has no cell, or one that is not free.
     """
+    of_kind("episode", episode, Episode)
     of_kind("goals", goals, Mapping)
     (episode,) = prepared(episode, options)
     agents = _named_agents(episode, list(goals.values()), options)

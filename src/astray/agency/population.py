@@ -4,6 +4,7 @@ import numpy as np
 from scipy.special import softmax
 
 from astray.estimate import Estimate
+from astray.validation import MOST, bounded
 
 DRAWS, FORGOTTEN = 5000, 500  # of the sampler; those at its beginning do not count
 
@@ -22,6 +23,7 @@ def rates(log_evidence: np.ndarray, *, seed: int = 0) -> list[Estimate]:
         ValueError: If it is anything else.
     """
     log_evidence = _checked(log_evidence)
+    bounded("seed", seed, 0, MOST)
     best = log_evidence.max(1, keepdims=True)
     likelihood, explanations = np.exp(log_evidence - best), log_evidence.shape[1]
     rng = np.random.default_rng(seed)

@@ -13,7 +13,7 @@ from astray.envs.vector import Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN, Game
 from astray.kernel.rng import fill_noise
-from astray.validation import MOST, bounded
+from astray.validation import MOST, bounded, check_words
 
 RANDOM_SALT = 2**32  # no agent has this seed, or a larger one
 
@@ -38,6 +38,10 @@ class Random:
     name: str = "random"
     observation: Observation = "symbolic"
     art: str = OWN
+
+    def __post_init__(self) -> None:
+        bounded("seed", self.seed, 0, MOST)
+        check_words(self)
 
     def actions(self, turn: Turn) -> Answer:
         env, space = turn.env, turn.env.single_action_space
