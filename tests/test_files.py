@@ -1,6 +1,7 @@
 """What is not astray's is never removed, whatever it is called and wherever it is."""
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -90,10 +91,15 @@ def test_no_folder_is_left_of_what_was_not_written(tmp_path):
 
 
 def test_a_folder_without_room_is_told_by_its_own_name(tmp_path, full_disk):
+    (tmp_path / "mine").write_bytes(bytes(99))
     full_disk(10)
     said = pytest.raises(OSError, match=r"large; nothing was written: '[^']*[^.]site.page'$")
     with said, folder_aside(tmp_path / "site") as aside:
         write_aside(aside / "page", bytes(99))
+    copies = pytest.raises(OSError, match=r"mine' -> '[^']*[^.]site.page'$")
+    with copies, folder_aside(tmp_path / "site") as aside:
+        shutil.copyfile(tmp_path / "mine", aside / "page")
+    (tmp_path / "mine").unlink()
     with pytest.raises(OSError, match=r"^the hub is closed$"), folder_aside(tmp_path / "site"):
         raise OSError("the hub is closed")
     assert not list(tmp_path.iterdir())

@@ -377,7 +377,10 @@ def check_ending(
 
 
 def _endless(what: str, remedy: str) -> str:
-    return f"{what} steps: say `longest`, after which an episode is left (--longest){remedy}"
+    return (
+        f"{what} steps: say `longest`, after which an episode is left (--longest, if this verb has "
+        f"it){remedy}"
+    )
 
 
 def check_policy(policy: Any) -> None:

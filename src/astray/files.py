@@ -132,8 +132,9 @@ def folder_aside(path: Path, told: Path | None = None) -> Iterator[Path]:
         aside.mkdir()
         yield aside
     except OSError as error:
-        if error.filename:  # is to name a file that the user knows
-            error.filename = str(error.filename).replace(str(aside), str(told or path))
+        for name in ("filename", "filename2"):  # are to name what the user knows
+            if named := getattr(error, name):
+                setattr(error, name, str(named).replace(str(aside), str(told or path)))
         raise
     finally:
         if os.path.exists(aside):  # pathlib would raise where the name is too long

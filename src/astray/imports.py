@@ -5,7 +5,7 @@ import importlib
 import re
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from importlib.metadata import EntryPoint, distribution, distributions
 from typing import Any
 
@@ -29,11 +29,11 @@ def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
     Raises:
         ValueError: If the code raises anything but those.
     """
-    lent = sys.stdout
-    if sys.__stderr__ and lent is sys.__stdout__:  # the code may close it; programs read it
-        lent = open(2, "w", 1, errors="backslashreplace", closefd=False)  # noqa: SIM115
+    out, err = sys.stdout, sys.stderr
+    if sys.__stderr__ and out is sys.__stdout__:  # the code may close both; programs read one
+        out = err = open(2, "w", 1, errors="backslashreplace", closefd=False)  # noqa: SIM115
     try:
-        with contextlib.redirect_stdout(lent):
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             yield
     except (KeyboardInterrupt, *passed):  # nothing tells one that the code raises from Ctrl+C
         raise
@@ -111,6 +111,16 @@ def offered(group: str) -> list[EntryPoint]:
                 stacklevel=2,
             )
     return [point for points in found.values() for point in points]
+
+
+def only(name: str, values: Collection[str], group: str) -> Any:
+    """Import the object that packages offer by `name`; raise ValueError if they offer several."""
+    if len({*values}) > 1:
+        raise ValueError(
+            f"{name!r} is offered by several packages as one of the {group}: {', '.join(values)}; "
+            "uninstall all but one"
+        )
+    return find(next(iter(values)))
 
 
 def known(name: str, group: str, kind: type) -> Any:

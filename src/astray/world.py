@@ -287,8 +287,7 @@ def find(game: str | Game | World) -> Game:
     if isinstance(game, str) and game not in games.OWN:
         if game in _registered:
             return cast("Game", _registered[game])
-        for point in imports.offered(GROUP):
-            if point.name == game:
-                of_kind(point.value, found := imports.find(point.value), World)
-                return cast("Game", found)
+        if values := [one.value for one in imports.offered(GROUP) if one.name == game]:
+            of_kind(values[0], found := imports.only(game, values, GROUP), World)
+            return cast("Game", found)
     return cast("Game", game) if isinstance(game, World) else games.find(game)

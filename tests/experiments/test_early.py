@@ -269,13 +269,22 @@ def test_a_policy_of_the_name_of_a_script_is_refused_before_a_step_is_tried(astr
     assert "policies must have names of their own; got walk to" in astray(*words, fails=True)
 
 
-def test_an_explanation_without_room_is_refused_before_a_level_is_looked_for(
-    astray, tmp_path, monkeypatch, full_disk
+@pytest.mark.parametrize(
+    "verb, option, first",
+    [
+        ("explain", "--out", "page/explain.html"),
+        ("export", "--out", "page"),
+        ("lab", "--export", "page/index.html"),
+        ("audit", "--out", "page/audit-maze-corner-corner-small-smoke/plan.json"),
+    ],
+)
+def test_a_folder_without_room_is_refused_before_a_level_is_looked_for(
+    astray, tmp_path, monkeypatch, full_disk, verb, option, first
 ):
     monkeypatch.setattr(GameVectorEnv, "reset", lambda *_, **__: pytest.fail("it was played"))
     full_disk(100_000)
-    said = astray("explain", "maze-corner", "--out", tmp_path / "page", fails=True)
-    assert said.endswith(f"large; nothing was written: '{tmp_path / 'page' / 'explain.html'}'\n")
+    said = astray(verb, "maze-corner", option, tmp_path / "page", fails=True)
+    assert said.endswith(f"large; nothing was written: '{tmp_path / first}'\n")
     assert not list(tmp_path.iterdir())
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from astray import games, imports
+from astray import games, imports, world
 from astray.game import More, Never, Shift
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
@@ -106,15 +106,18 @@ def test_an_interrupt_while_a_game_loads_is_the_users(tmp_path, monkeypatch):
     games._offered.cache_clear()
 
 
-def test_a_game_that_closes_the_standard_output_does_not_end_what_follows(tmp_path, monkeypatch):
+def test_a_game_that_closes_a_standard_stream_does_not_end_what_follows(tmp_path, monkeypatch):
     module = (
         "import dataclasses, sys\nfrom astray import games\nprint('loaded')\n"
         "GAME = dataclasses.replace(games.find('maze'), name='NAME')\nsys.stdout"
     )
-    ends = {"closes": ".close()", "takes": " = None"}
+    ends = {"closes": ".close()", "takes": " = None", "mutes": "; sys.stderr.close()"}
     offer(tmp_path, monkeypatch, **{n: module.replace("NAME", n) + e for n, e in ends.items()})
     games._offered.cache_clear()
-    program = "from astray import games; print(*(games.find(n).name for n in ('closes', 'takes')))"
+    program = (
+        "from astray import games; import sys; "
+        f"print(*(games.find(n).name for n in {tuple(ends)})); print('end', file=sys.stderr)"
+    )
     paths = os.pathsep.join([str(tmp_path), *sys.path])
     done = subprocess.run(
         [sys.executable, "-c", program],
@@ -122,8 +125,8 @@ def test_a_game_that_closes_the_standard_output_does_not_end_what_follows(tmp_pa
         text=True,
         env=os.environ | {"PYTHONPATH": paths},
     )
-    assert done.stdout.split() == ["closes", "takes"], done.stderr
-    assert done.stderr.split() == ["loaded", "loaded"]  # not amid what a program may read
+    assert done.stdout.split() == ["closes", "takes", "mutes"], done.stderr
+    assert done.stderr.split() == ["loaded"] * 3 + ["end"]  # not amid what a program may read
 
 
 def test_text_that_fails_when_it_is_printed_is_listed_as_text(tmp_path, monkeypatch, astray):
@@ -185,6 +188,21 @@ def test_a_package_whose_entry_points_cannot_be_read_hides_no_game(strangers, tm
         assert set(games.names()) == {*games.OWN, *SOURCES}
     with pytest.warns(UserWarning, match="what ruined offers astray"), pytest.raises(ValueError):
         imports.known("nobody:Net", "astray.networks", object)
+
+
+@pytest.mark.parametrize(("find", "group"), [(games.find, games.GROUP), (world.find, world.GROUP)])
+def test_a_name_that_two_packages_offer_is_neither_of_both(tmp_path, monkeypatch, find, group):
+    offer(tmp_path, monkeypatch, one="GAME = 1", two="GAME = 2")
+    (tmp_path / "guests-1.dist-info" / "entry_points.txt").write_text(
+        f"[{group}]\none = one:GAME\n"
+    )
+    other = tmp_path / "others-1.dist-info"
+    other.mkdir()
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1\n")
+    (other / "entry_points.txt").write_text(f"[{group}]\none = two:GAME\n")
+    with pytest.raises(ValueError, match=r"'one' is offered by several .*: .*two:GAME"):
+        find("one")
+    games._offered.cache_clear()
 
 
 def test_the_first_page_of_the_lab_tells_broken_games_and_why(strangers):

@@ -29,7 +29,7 @@ from astray.acting import Levels, Policy, check_policy, steps
 from astray.analysis.tables import write_table
 from astray.envs import VERSION
 from astray.envs.vector import GameVectorEnv
-from astray.files import folder_aside, read, write_aside
+from astray.files import check_writable, folder_aside, read, write_aside
 from astray.game import Game, Variant
 from astray.record import count_levels
 from astray.validation import brief, of_kind, one_of, shown
@@ -148,6 +148,7 @@ def export(
         "actions": [] if is_world else list(game.actions), "events": list(game.events),
         "state": [list(map(_plain, one)) for one in np.dtype(game.state.descr).descr],
     }  # fmt: skip
+    check_writable(Path(folder))  # before the work
     with folder_aside(folder) as aside:
         played = trajectories(policy, game, of, levels, batch=batch, longest=longest)
         write(played, game, of, about, aside)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional
 
 from astray.cli.arguments import AN_AGENT, Acting, GivenLevel, OwnPolicy
-from astray.files import check_empty, read
+from astray.files import check_empty, check_writable, read
 from astray.training.settings import otherwise
 from astray.validation import bounded
 
@@ -64,6 +64,7 @@ def lab(
         from astray.lab.export import export as write
 
         check_empty(export)
+        check_writable(export / "index.html")
         check_exportable(
             make_lab(shown, start | {"level": 0}), None, {}
         )  # before a level is looked for

@@ -33,7 +33,7 @@ from astray.experiments.spec import (
 )
 from astray.experiments.track import track_report
 from astray.experiments.workers import expected, train_all
-from astray.files import check_free, folder_aside, hold, read, write_aside
+from astray.files import check_free, check_writable, folder_aside, hold, read, write_aside
 from astray.game import OWN
 from astray.report import page as report
 from astray.report.claims import corrected
@@ -105,6 +105,7 @@ def reproduce(
     beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
     with hold(folder, "works on"), threads_for(size):
         runs = train_agents(plan, root, workers, on, track)
+        check_writable(folder / PLAN)  # before the agents are played
         text, digest = inputs(plan, runs, whole)
         work = Work(name, size, plan, folder, digest, runs, pl.DataFrame())
         if plan.tests:

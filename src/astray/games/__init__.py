@@ -10,7 +10,6 @@ import json
 import pkgutil
 import re
 from collections.abc import Callable
-from importlib.metadata import EntryPoint
 from typing import Any
 
 from astray import imports
@@ -76,7 +75,7 @@ def find(game: str | Game) -> Game:
     if game in _registered:
         return _registered[game]
     if game in _offered():
-        return _load(_offered()[game])
+        return _load(game, _offered()[game])
     raise ValueError(f"unknown game {game!r}; there are: {', '.join(names())}")
 
 
@@ -98,16 +97,19 @@ def survey(describe: Callable[[Game], Any]) -> tuple[dict[str, Any], dict[str, s
 
 
 @functools.cache
-def _offered() -> dict[str, EntryPoint]:
-    """Return the entry points of other packages' games, by name; import none."""
-    return {point.name: point for point in imports.offered(GROUP)}
+def _offered() -> dict[str, tuple[str, ...]]:
+    """Return what other packages offer by the name of a game, as module:GAME; import none."""
+    found: dict[str, tuple[str, ...]] = {}
+    for point in imports.offered(GROUP):
+        found[point.name] = (*found.get(point.name, ()), point.value)
+    return found
 
 
 @functools.cache
-def _load(point: EntryPoint) -> Game:
-    game = imports.find(point.value)
-    with imports.guarded(f"the game {point.name!r}, {point.value},"):
-        known = isinstance(game, Game) and game.name == point.name  # a stranger's class may exit
+def _load(name: str, values: tuple[str, ...]) -> Game:
+    game = imports.only(name, values, GROUP)
+    with imports.guarded(f"the game {name!r}, {values[0]},"):
+        known = isinstance(game, Game) and game.name == name  # a stranger's class may exit
     if not known:
-        raise ValueError(f"{point.value} must be a Game called {point.name!r}; got {shown(game)}")
+        raise ValueError(f"{values[0]} must be a Game called {name!r}; got {shown(game)}")
     return game

@@ -23,7 +23,7 @@ import platformdirs
 from safetensors import SafetensorError, safe_open
 
 from astray import agents
-from astray.files import check_readable, folder_aside, read
+from astray.files import check_readable, check_writable, folder_aside, read
 from astray.training.config import Config
 from astray.validation import finite, shown
 
@@ -230,6 +230,7 @@ def check_new(name: str, *homes: Path) -> None:
 def made(home: Path, name: str) -> Iterator[Path]:
     """Yield a new folder that becomes `home`/`name` on success and is removed on failure."""
     check_new(name, home)
+    check_writable(home / name)
     with folder_aside(home / name) as aside:
         yield aside
         try:
