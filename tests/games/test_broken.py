@@ -6,10 +6,12 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from astray import games, imports, world
+from astray.envs.vector import GameVectorEnv
 from astray.game import More, Never, Shift
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
@@ -174,6 +176,13 @@ def test_text_is_listed_without_its_markup_or_control_characters(tmp_path, monke
 def test_a_game_that_names_what_it_lacks_cannot_be_made(wrong, said):
     with pytest.raises(ValueError, match=said):
         replace(games.find("maze"), **wrong)
+
+
+def test_a_game_whose_code_cannot_be_compiled_is_told():
+    maze = games.find("maze")
+    rules = SimpleNamespace(**vars(maze.rules) | {"step": lambda s, action: (0.0, False)})
+    with pytest.raises(ValueError, match=r"code of the game 'plain' fails: TypingError.*global name .*step"):
+        GameVectorEnv(replace(maze, name="plain", rules=rules), "corner")
 
 
 @pytest.mark.parametrize("text", [b"[astray.games]\nno sign of equality\n", b"[a]\n\xff = b:C\n"])

@@ -11,6 +11,7 @@ import numpy as np
 from astray.envs import loops
 from astray.envs.pool import alone
 from astray.game import OWN, Game, Looks
+from astray.imports import guarded
 from astray.kernel import rng
 from astray.kernel.grid import distances
 from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
@@ -47,7 +48,8 @@ def _compiled(game: Game, art: str) -> Callable:
     functions["begin_one"] = specialise(loops.begin, label, shared, **functions)
     functions["observe_one"] = specialise(loops.observe, label, kernel, **functions)
     run = specialise(loops.run, label, ACTIONS=len(game.actions), **functions)
-    with one_at_a_time(label), _announced(game):
+    failing = guarded(f"the code of the game {game.name!r}", MemoryError)
+    with one_at_a_time(label), _announced(game), failing:
         _compile(game, looks, run)
     _compile_shared()
     return run
