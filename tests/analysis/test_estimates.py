@@ -16,6 +16,7 @@ from astray.analysis.estimates import (
     over_agents,
     quantile,
 )
+from astray.analysis.outcomes import FAILED, INTENDED, rates
 
 
 def steps(seed=0, agents=4, levels=15):
@@ -205,6 +206,44 @@ def test_no_rows_have_no_means():
     )
     with pytest.raises(ValueError, match="no row of 1 has a value of 'value'"):
         group_means(rows, "value", ["what"])
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: estimate_mean(np.ma.masked_array([[1, 9]], [[0, 1]])), "numbers .*got masked"),
+        (lambda: estimate_mean(np.array([["1", "2"]])), "values must be numbers"),
+        (lambda: estimate_mean(np.ones((1, 2)), np.array([[1, np.inf]])), "weights must be"),
+        (lambda: estimate_mean(np.array([[2.0, 3.0]]), rate=True), "from 0 to 1; .* is 2.5"),
+        (lambda: estimate_paired(np.ones((3, 5)), np.ones((3, 1))), r"got \(3, 5\) and \(3, 1\)"),
+        (lambda: estimate_paired(np.ones((3, 5)), np.ones((2, 5))), r"got \(3, 5\) and \(2, 5\)"),
+    ],
+)
+def test_what_would_be_taken_for_other_numbers_is_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_rates_of_tables_do_not_depend_on_the_order_of_their_rows():
+    random = np.random.default_rng(0)
+    rows = [
+        ("p", variant, seed, level, INTENDED if random.random() < often else FAILED)
+        for seed in range(3)
+        for variant, often in (("one", 0.9), ("other", 0.1))
+        for level in range(40)
+    ]
+    episodes = pl.DataFrame(rows, ["policy", "variant", "seed", "level", "outcome"], orient="row")
+    told = rates(episodes, ["policy"])
+    for seed in range(3):
+        assert rates(episodes.sample(fraction=1, shuffle=True, seed=seed), ["policy"]).equals(told)
+    reached = episodes.select("seed", "level", reached=pl.col("outcome") == INTENDED, all=1)
+    both = group_means(reached.rename({"seed": "agent"}), "reached", ["all"])
+    assert told.row(0)[2:5] == both.row(0)[1:4]  # a level counts once, also where it is met twice
+    apart = episodes.filter(pl.col("level") + 3 * pl.col("seed") < 40)  # fewer, of others
+    assert rates(apart, ["policy"])["mean"][0] == (apart["outcome"] == INTENDED).mean()
+    assert rates(apart.drop("seed"), ["policy"])["agents"][0] == 1
+    with pytest.raises(ValueError, match="each episode must have an outcome; 6 of 240 have none"):
+        rates(episodes.with_columns(pl.when(pl.col("level") > 0).then("outcome").alias("outcome")))
 
 
 @pytest.mark.parametrize("agents, kinds", [(3, 1), (8, 1), (3, 4)])

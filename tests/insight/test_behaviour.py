@@ -49,6 +49,10 @@ def test_what_cannot_be_predicted_is_told(caused):
         predict(caused.with_columns(outcome=pl.lit(False)), "outcome", ["cause"])
     with pytest.raises(ValueError, match="features must vary; flat is the same in all levels"):
         predict(caused.with_columns(flat=pl.lit(1.0)), "outcome", ["cause", "flat"])
+    with pytest.raises(ValueError, match="the column other must be true or false; it is Float64"):
+        predict(caused, "other", ["cause"])
+    with pytest.raises(ValueError, match="columns must differ; got outcome and cause, cause"):
+        predict(caused, "outcome", ["cause", "cause"])
 
 
 def test_features_of_levels_are_a_row_each_and_null_where_ways_do_not_part():

@@ -13,16 +13,20 @@ from astray.envs.states import load_states
 from astray.games import find
 from astray.insight import attribution
 from astray.insight.activations import capture, layers
+from astray.insight.cell_probes import ahead
 from astray.insight.episode import along
 from astray.insight.fields import difference, fields
 from astray.insight.retarget import Clamp, retarget
-from astray.insight.vectors import Condition, edit_vectors, pair_vectors
+from astray.insight.vectors import Condition, Vectors, edit_vectors, effects, pair_vectors
 from astray.mitigation.uncertainty import margin, max_logit
 from helpers.looked_into import make_agent
 
 MAZE = find("maze")
 LEVEL = initial_states(MAZE, "corner-small", [1])
 SEEN = np.zeros((1, 4, 7, 7), np.uint8)
+ONE = Condition([Vectors("spread", np.zeros((1, 6, 7, 7), np.float32))])
+THIRD = LEVEL.copy()
+THIRD["time"] = 2
 
 
 @pytest.fixture
@@ -49,11 +53,17 @@ def agent(tmp_path):
         (lambda a: attribution.gradients(a, None), "observations must be a ndarray"),
         (lambda a: attribution.occlusion(a, SEEN, window=0), "window must be an integer from 1"),
         (lambda a: attribution.integrated_gradients(a, SEEN, steps=0), "steps must be an integer"),
+        (lambda a: a.outputs(np.zeros((1, 4, 7, 7))), "sees integers from 0 to 255, not float64"),
         (lambda a: along(a, "corner-small", 3, gamma=2.0), "gamma must be a finite number from 0"),
         (lambda a: difference(None, None), "a field must be a Field"),
         (lambda a: retarget(a, "corner-small", [1], 5), "clamp must be a Clamp"),
         (lambda a: Clamp("spread", 1, 2.0), "channels must be a Sequence"),
         (lambda a: Condition(vectors="x"), "each of the vectors must be a Vectors"),
+        (
+            lambda a: effects(a, "corner-small", [1, 2], "cheese", {"one": ONE}),
+            "of 2 levels; got 1",
+        ),
+        (lambda a: ahead(THIRD, 7), "states must be those of whole episodes"),
         (lambda a: Condition(coefficient=np.nan), "coefficient must be a finite number"),
         (lambda a: edit_vectors(a, "corner-small", [1], "spread", 5), "must be a function of lev"),
         (lambda a: export(b"x", "maze", "corner-small", [1], None), "a policy must have name"),

@@ -18,12 +18,13 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import polars as pl
 
 from astray.estimate import Estimate
-from astray.validation import of_kind
+from astray.validation import of_kind, shown
 
 CONFIDENCE = 0.95
 POWER = 0.8
@@ -74,7 +75,8 @@ def estimate_mean(
             between agents is estimated jointly, because a few of each kind say little about it.
 
     Raises:
-        ValueError: If values or weights have another shape, or a weight is negative.
+        ValueError: If values or weights have another shape, a weight is negative, or a rate is
+            not from 0 to 1.
     """
     rate = _is_rate(values) if rate is None else rate
     values, weights = _checked(values, weights)
@@ -83,6 +85,8 @@ def estimate_mean(
     if not total:
         return Estimate(math.nan, math.nan, math.nan, agents, levels, values.size)
     mean = float(values.sum() / total)
+    if rate and abs(mean - 0.5) > 0.5 + 1e-9:  # sums are rounded
+        raise ValueError(f"a rate must be from 0 to 1; the mean of these values is {mean:g}")
     rest = (values - mean * weights) * (values.size / total)  # deviations in units of the mean
     among = _among_levels(rest)
     if agents == 1:
@@ -169,6 +173,11 @@ def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
     """
     rates = _is_rate(one) and _is_rate(other)
     (one, _), (other, _) = _checked(one, None), _checked(other, None)
+    if one.shape[1] != other.shape[1] or len({len(one), len(other)} - {1}) > 1:
+        raise ValueError(
+            f"both must be of the same agents, or one, in the same levels; got {one.shape} and "
+            f"{other.shape}"
+        )
     found = estimate_mean(one - other)
     if rates:
         found = replace(found, low=max(-1.0, found.low), high=min(1.0, found.high))
@@ -209,17 +218,25 @@ def detectable(
 
 
 def _checked(values: np.ndarray, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    values = np.atleast_2d(np.asarray(values, float))
+    values = _numbers("values", values)
     if values.ndim != 2 or not values.size:
         raise ValueError(
             f"values must be [agents, levels], at least one of each; got {values.shape}"
         )
     if weights is None:
         return values, np.ones_like(values)
-    weights = np.atleast_2d(np.asarray(weights, float))
-    if weights.shape != values.shape or not (weights >= 0).all():
+    weights = _numbers("weights", weights)
+    if weights.shape != values.shape or not ((weights >= 0) & (weights < np.inf)).all():
         raise ValueError(f"weights must be {values.shape} numbers, none below 0; got {weights}")
     return values, weights
+
+
+def _numbers(name: str, given: Any) -> np.ndarray:
+    """Return `given` as reals [agents, levels]; text, masks and dates would be read as numbers."""
+    array = np.asarray(given)
+    if array.dtype.kind not in "biuf" or np.ma.is_masked(given):
+        raise ValueError(f"{name} must be numbers [agents, levels]; got {shown(given)}")
+    return np.atleast_2d(array.astype(float))
 
 
 def _is_rate(values: np.ndarray) -> bool:
@@ -347,13 +364,29 @@ def group_means(
     if known.is_empty():
         raise ValueError(f"no row of {len(rows)} has a value of {value!r}")
     for key, group in known.group_by(by):
-        codes = [np.unique(group[name], return_inverse=True)[1] for name in (*agent, "level")]
-        cell = (codes[0] if agent else np.zeros(len(group), int), codes[-1])
-        totals = np.zeros([int(code.max()) + 1 for code in cell])
-        weights, values = totals.copy(), group[value].cast(pl.Float64).to_numpy()
-        np.add.at(totals, cell, values)
-        np.add.at(weights, cell, group[per].to_numpy() if per else 1.0)
+        totals, weights = in_cells(group, agent, value, per)
         rate = not per and group[value].dtype == pl.Boolean
         estimate = estimate_mean(totals, weights, rate=rate)
         found.append(dict(zip(by, key, strict=True)) | vars(estimate) | {"rows": len(group)})
     return pl.DataFrame(found).sort(by).with_columns(pl.col("mean", "low", "high").fill_nan(None))
+
+
+def in_cells(
+    rows: pl.DataFrame, agent: Sequence[str], value: str, per: str | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return sums of `value`, and of `per` (1 if None), over the rows of each agent in each level.
+
+    Both are [agents, levels], for `estimate_mean`.
+
+    Args:
+        agent: Columns that identify an agent; without any, all rows are of one.
+    """
+    numbers = rows.select(
+        (pl.struct(agent).rank("dense") if agent else pl.lit(1)).alias("agent"),
+        pl.col("level").rank("dense"),
+    )
+    cell = tuple(numbers.to_numpy().T.astype(np.int64) - 1)
+    totals, weights = np.zeros((2, *(int(code.max()) + 1 for code in cell)))
+    np.add.at(totals, cell, rows[value].cast(pl.Float64).to_numpy())
+    np.add.at(weights, cell, rows[per].to_numpy() if per else 1.0)
+    return totals, weights

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from astray import world
-from astray.analysis.estimates import estimate_mean
+from astray.analysis.estimates import estimate_mean, in_cells
 from astray.analysis.policies import Walk
 from astray.estimate import Estimate
 from astray.game import Game, More, Never, Outcome, Shift, Truncated, Variant
@@ -21,6 +21,7 @@ from astray.outcome import OUTCOMES as OUTCOMES
 from astray.validation import of_kind, one_of, shown
 from astray.world import World, WorldVariant
 
+AGENT = ("run", "checkpoint", "seed")  # columns that identify an agent
 REACHED_NEITHER = ~pl.col("outcome").is_in([INTENDED, MISGENERALIZED])  # an end or a failure
 
 
@@ -151,20 +152,22 @@ def rates(
         Columns of `by`, outcome, mean, low, high (rates, 0 to 1), agents, levels.
 
     Raises:
-        ValueError: If columns are missing, or an outcome is unknown.
+        ValueError: If columns are missing, or an episode has no outcome.
     """
     of_kind("episodes", episodes, pl.DataFrame)
     if missing := [name for name in (*by, "level", "outcome") if name not in episodes.columns]:
         raise ValueError(f"episodes must have the columns {', '.join(missing)}")
     if taken := {"outcome", *(field.name for field in fields(Estimate))} & {*by}:
         raise ValueError(f"by must not be {', '.join(sorted(taken))}, which rates have themselves")
+    if nulls := episodes["outcome"].null_count():
+        raise ValueError(f"each episode must have an outcome; {nulls} of {len(episodes)} have none")
     if outcomes is None:
-        others = sorted({*episodes["outcome"].drop_nulls()} - {*OUTCOMES})
+        others = sorted({*episodes["outcome"]} - {*OUTCOMES})
         outcomes = (INTENDED, MISGENERALIZED, *others, FAILED)
     rows = []
     for key, part in episodes.group_by(by, maintain_order=True):
         for outcome in outcomes:
-            estimate = estimate_mean(matrix(part, pl.col("outcome") == outcome))
+            estimate = _mean(part, pl.col("outcome") == outcome)
             rows.append(dict(zip(by, key, strict=True)) | {"outcome": outcome} | vars(estimate))
     return pl.DataFrame(rows)
 
@@ -177,20 +180,25 @@ def amounts(
     Columns: those of `by`, measure, mean, low, high, agents, levels.
     """
     rows = [
-        dict(zip(by, key, strict=True))
-        | {"measure": name}
-        | vars(estimate_mean(matrix(part, value)))
+        dict(zip(by, key, strict=True)) | {"measure": name} | vars(_mean(part, pl.col(name)))
         for key, part in episodes.group_by(by, maintain_order=True)
         for name in measures
-        for value in [pl.col(name)]
     ]
     return pl.DataFrame(rows)
 
 
+def _mean(episodes: pl.DataFrame, value: pl.Expr) -> Estimate:
+    """Return the mean of `value`, whichever levels each agent played, and however often."""
+    agent = [name for name in AGENT if name in episodes.columns]
+    table = episodes.select(*agent, "level", value=value)
+    rate = table["value"].dtype == pl.Boolean
+    return estimate_mean(*in_cells(table, agent, "value"), rate=rate)
+
+
 def matrix(episodes: pl.DataFrame, value: pl.Expr) -> np.ndarray:
     """Return `value` of every episode as [agents, levels], bool or float, for `estimate_mean`."""
-    agent = [name for name in ("run", "checkpoint", "seed") if name in episodes.columns]
-    table = episodes.select(*agent, "level", value=value).sort(*agent, "level")
+    agent = [name for name in AGENT if name in episodes.columns]
+    table = episodes.select(*agent, "level", value=value).sort(*agent, "level", maintain_order=True)
     if table["value"].dtype != pl.Boolean:
         table = table.with_columns(pl.col("value").cast(pl.Float64))
     agents = table.partition_by(agent, maintain_order=True)

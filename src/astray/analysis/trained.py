@@ -142,7 +142,7 @@ class Agent:
                 it began an episode.
 
         Raises:
-            ValueError: If the observations have another shape.
+            ValueError: If the observations have another shape, or are reals in place of integers.
         """
         of_kind("observations", observations, np.ndarray)
         if self._kept and self._kept[0] is observations:
@@ -150,6 +150,8 @@ class Agent:
         shown, known = observations.shape[1:], self.architecture.shape
         if shown != known:
             raise ValueError(f"the agent sees observations of shape {known}, not {shown}")
+        if observations.dtype.kind == "f" and len(known) == 3 and is_own(self.architecture.name):
+            raise ValueError(f"the agent sees integers from 0 to 255, not {observations.dtype}")
         if episode and isinstance(self.network, Recurrent):
             return in_order(self.network, observations, self.device)
         chunk = AT_ONCE[self.observation]

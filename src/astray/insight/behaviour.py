@@ -118,6 +118,10 @@ def predict(
             f"no column {', '.join(sorted(missing)) or 'is named'}; there are: "
             f"{', '.join(rows.columns)}"
         )
+    if len({outcome, *features}) <= len(features):
+        raise ValueError(f"columns must differ; got {outcome} and {', '.join(features)}")
+    if rows[outcome].dtype != pl.Boolean:
+        raise ValueError(f"the column {outcome} must be true or false; it is {rows[outcome].dtype}")
     known = rows.select(outcome, *features).drop_nulls()
     x, y = known.select(features).to_numpy(), known[outcome].cast(pl.Int64).to_numpy()
     if len(y) < 2 * FOLDS or min(y.sum(), len(y) - y.sum()) < FOLDS:

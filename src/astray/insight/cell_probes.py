@@ -18,6 +18,7 @@ from astray.analysis.estimates import estimate_mean
 from astray.analysis.trained import Model
 from astray.estimate import Estimate
 from astray.game import Variant
+from astray.insight.activations import beginnings_in
 from astray.insight.interventions import place
 from astray.insight.probes import FITS, by_level, need_sklearn
 
@@ -117,12 +118,16 @@ def ahead(states: np.ndarray, world: int, cells: Cells | None = None) -> np.ndar
         world: Cells a side.
         cells: Function of states that returns where the agent is, in cells; None for the states'
             own x and y.
+
+    Raises:
+        ValueError: If the states are not of whole episodes.
     """
+    begins = beginnings_in(states)
     where = np.stack([states["x"], states["y"]], 1) if cells is None else cells(states)
     x, y = np.floor(where).astype(np.int64).T
     found = np.zeros((len(states), world, world), bool)
     for t in range(len(states) - 2, -1, -1):
-        if states["level"][t] == states["level"][t + 1] and states["time"][t + 1]:
+        if not begins[t + 1]:
             found[t] = found[t + 1]
             moved = (x[t], y[t]) != (x[t + 1], y[t + 1])
             found[t, y[t + 1], x[t + 1]] |= moved

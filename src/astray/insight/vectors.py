@@ -25,6 +25,7 @@ from astray.insight.activations import activations
 from astray.insight.fields import Places, cell_of, drawn, places_of
 from astray.insight.interventions import steer
 from astray.level import Cell, Level
+from astray.record import count_levels
 from astray.validation import MOST, bounded, finite, of_kind, shown
 
 Edit = Callable[[Level], Level]
@@ -200,9 +201,13 @@ def effects(
         ValueError: If an argument is invalid.
     """
     check_network(agent)
+    count = count_levels(levels)
     of_kind("conditions", conditions, Mapping)
     for condition in conditions.values():
         of_kind("a condition", condition, Condition)
+        least = min((len(v.each) for v in condition.vectors if condition.own), default=count)
+        if least < count:
+            raise ValueError(f"own vectors must be one for each of {count} levels; got {least}")
     bounded("places", places, 1, MOST)
     game = games.find(agent.game)  # pyright: ignore[reportArgumentType]
     variant = game.variant(variant)
