@@ -49,6 +49,7 @@ def agent(tmp_path):
         (lambda a: list(read_trajectories(None)), "folder must be a str or Path"),
         (lambda a: load_states(None, "maze"), "the path of a file must be a str or Path"),
         (lambda a: max_logit(None), "logits must be a ndarray"),
+        (lambda a: margin(np.full((2, 3), np.nan)), "the largest logit of each row must be finite"),
         (lambda a: margin(np.zeros(())), "logits must be .N, A. numbers"),
         (lambda a: attribution.gradients(a, None), "observations must be a ndarray"),
         (lambda a: attribution.occlusion(a, SEEN, window=0), "window must be an integer from 1"),

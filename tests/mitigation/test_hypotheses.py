@@ -66,3 +66,11 @@ def test_agreement_and_labels_are_those_by_hand():
     assert chosen_rightly(Fixed(), half, "one", [1])[0] == pytest.approx(2 / 3, abs=0.04)
     same = Frames(np.ones((4, 2), np.float32), {"one": np.ones(4, bool)})
     assert chosen_rightly(Fixed(), same, "one", [1, 8]) == [0.5, 0.5]
+
+
+def test_a_label_that_no_frame_has_is_refused():
+    known = frames(10, True)
+    for label, message in (("nothing", "some of 10 frames must have"), ("three", "unknown label")):
+        none = Frames(known.seen, {"nothing": np.zeros(10, bool)})
+        with pytest.raises(ValueError, match=message):
+            train_heads(none, label, known.seen, diversity=1.0, steps=1)

@@ -251,6 +251,10 @@ def test_a_novice_and_an_expert_are_shown_the_same(mouse):
         Helped(mouse, sighted, Chance(), 0.0)
 
 
+def helped_by(score):
+    return play(Helped(Walk("cheese"), Walk("corner"), score, 0.5), MAZE, CORNER, [1, 2])
+
+
 SCORES = pl.DataFrame({"level": [0, 1], "score": [0.1, 0.2]})
 
 
@@ -263,6 +267,10 @@ SCORES = pl.DataFrame({"level": [0, 1], "score": [0.1, 0.2]})
         (lambda: net_returns(SCORES, ["1"]), "a cost must be a finite number"),
         (lambda: Helped(Walk("cheese"), Walk("corner"), 0.5, 0.5), "a score must be a function"),
         (lambda: Helped(Walk("cheese"), Walk("corner"), Chance(), "1"), "threshold must be a int"),
+        (lambda: Helped(Walk("cheese"), Walk("corner"), Chance(), np.nan), "threshold .*got nan"),
+        (lambda: helped_by(lambda *_: np.full(2, np.nan)), r"must be 2 numbers, .*\[nan, nan\]"),
+        (lambda: helped_by(lambda *_: np.ones((2, 1))), "must be 2 numbers, one per episode"),
+        (lambda: helped_by(lambda *_: 0.7), "must be 2 numbers, one per episode; got 0.7"),
         (lambda: Trial("maze", "corner", *[None] * 4), "shift must be a Shift"),
     ],
 )

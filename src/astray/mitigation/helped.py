@@ -17,7 +17,7 @@ from astray.envs.vector import Observation
 from astray.game import Game, Variant
 from astray.mitigation.uncertainty import Score
 from astray.record import count_levels
-from astray.validation import of_kind, one_of
+from astray.validation import of_kind, one_of, shown
 
 Granularity = Literal["step", "level"]
 BEFORE, SEEN, AFTER = "before it was seen", "seen, not passed", "after it was passed"
@@ -76,6 +76,8 @@ class Helped(_Shown):
         one_of("granularity", self.granularity, Granularity)
         of_kind("a score", self.score, Callable)
         of_kind("threshold", self.threshold, int | float)  # also infinite: nobody, or everybody
+        if np.isnan(self.threshold):
+            raise ValueError("threshold must be a number; got nan, which no score is above")
         if isinstance(self.expert, Agent) and self.expert.observation != self.observation:
             raise ValueError(
                 f"novice and expert must be shown the same; got {self.observation!r} and "
@@ -87,19 +89,19 @@ class Helped(_Shown):
         novice, expert, before = turn.memory or (None, None, np.zeros(n, bool))
         with _asked_once(self.novice, self.expert):
             own = self.novice.actions(turn._replace(memory=novice))
-            scores = np.asarray(self.score(env, turn.observations), float)
+            scores = _scores(self.score, turn)
             helped = scores > self.threshold
             if self.granularity == "level":
                 helped |= before & ~turn.begins
             other = own
             if not isinstance(self.expert, Walk):
                 other = self.expert.actions(turn._replace(memory=expert))
-        shown = other.actions.copy()
+        led = other.actions.copy()
         if isinstance(self.expert, Walk):
             asked = helped | turn.begins  # a level is learned in its first step
-            shown[asked] = self.expert.ways(env.game, env.states[asked])
+            led[asked] = self.expert.ways(env.game, env.states[asked])
         return Answer(
-            np.where(helped, shown, own.actions),
+            np.where(helped, led, own.actions),
             (own.memory, other.memory, helped),
             {"score": scores, "helped": helped},
         )
@@ -122,8 +124,17 @@ class Alone(_Shown):
     def actions(self, turn: Turn) -> Answer:
         with _asked_once(self.novice):
             own = self.novice.actions(turn)
-            said = [np.asarray(s(turn.env, turn.observations), float) for s in self.scores]
+            said = [_scores(score, turn) for score in self.scores]
         return own._replace(extra={f"{k}": scores for k, scores in enumerate(said)})
+
+
+def _scores(score: Score, turn: Turn) -> np.ndarray:
+    """Return the scores [N] of a turn; raise ValueError if there is not one for each episode."""
+    given, n = score(turn.env, turn.observations), len(turn.begins)
+    scores = np.asarray(given)
+    if scores.shape != (n,) or scores.dtype.kind not in "biuf" or np.isnan(scores).any():
+        raise ValueError(f"a score must be {n} numbers, one per episode; got {shown(given)}")
+    return scores.astype(float)
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from astray.validation import MOST, bounded
+from astray.validation import MOST, bounded, one_of
 
 HIDDEN = 64
 BATCH = 128  # frames of either kind in a step
@@ -76,8 +76,14 @@ def train_heads(
     Args:
         unlabelled: [M, ...] float32.
         diversity: Weight of the mutual information; 0 gives an ordinary ensemble.
+
+    Raises:
+        ValueError: If no labelled frame has the label, or `steps` is out of range.
     """
     bounded("steps", steps, 1, MOST)
+    one_of("label", label, labelled.labels)
+    if not labelled.labels[label].any():
+        raise ValueError(f"some of {len(labelled.seen)} frames must have the label {label!r}")
     random = np.random.default_rng(seed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

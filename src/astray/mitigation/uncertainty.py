@@ -79,6 +79,8 @@ def _check_logits(logits: Any) -> None:
     of_kind("logits", logits, np.ndarray)
     if not logits.size or not logits.ndim or logits.dtype.kind not in "fiu":
         raise ValueError(f"logits must be [N, A] numbers; got {logits.shape} {logits.dtype}")
+    if not np.isfinite(logits.max(-1)).all():  # that of an impossible action may be -inf
+        raise ValueError(f"the largest logit of each row must be finite; got {shown(logits)}")
 
 
 def entropy_of(probabilities: np.ndarray) -> np.ndarray:
