@@ -137,6 +137,7 @@ def test_exploration_is_one_level():
         ({"env_name": "coinrun", "distribution_mode": "memory"}, "coinrun memory of Procgen is"),
         ({"distribution_mode": "extreme"}, "unknown distribution_mode 'extreme'; there are: easy"),
         ({"restrict_themes": True}, "restrict_themes must be False"),
+        ({"use_sequential_levels": "False"}, "use_sequential_levels must be a bool; got 'False'"),
         ({"center_agent": False}, "center_agent must be True"),
         ({"colour": 3}, "unknown option 'colour'; there are: distribution_mode"),
         ({"num_levels": -1}, "num_levels must be an integer from 0"),

@@ -19,7 +19,7 @@ from gymnasium import spaces
 from astray import games
 from astray.envs.vector import GameVectorEnv
 from astray.record import LEVELS
-from astray.validation import MOST, bounded, integers, of_kind, one_of
+from astray.validation import MOST, bounded, check_words, integers, of_kind, one_of
 
 Mode = Literal["easy", "hard", "memory", "exploration"]
 # Observations, rewards, ends and infos.
@@ -63,7 +63,7 @@ class Options:
     render_mode: Literal["rgb_array"] | None = None
 
     def __post_init__(self) -> None:
-        one_of("distribution_mode", self.distribution_mode, Mode)
+        check_words(self)
         bounded("start_level", self.start_level, 0, LEVELS.stop - 1)
         bounded("num_levels", self.num_levels, 0, LEVELS.stop - self.start_level)
         bounded("num_threads", self.num_threads, 0, MOST)

@@ -9,13 +9,14 @@ from typing import Any
 from astray.files import read
 from astray.game import Game, Variant
 from astray.level import Level
+from astray.validation import of_kind
 
 COMMENT = ";"  # prefix of comment lines in drawings
 LARGEST_FILE = 2**26  # bytes; a level as JSON has about 2,000
 
 
 def read_levels(
-    path: Path, game: Game, variant: Variant, *, solvable: bool = True
+    path: str | Path, game: Game, variant: Variant, *, solvable: bool = True
 ) -> dict[str, Level]:
     """Return the levels in a file or a folder, by name, each checked as by `Level.state`.
 
@@ -26,6 +27,8 @@ def read_levels(
         FileNotFoundError: If there is nothing at `path`.
         ValueError: If a level is invalid, or there are none.
     """
+    of_kind("path", path, str | Path)
+    path = Path(path)
     if path.is_dir():
         return _read_folder(path, game, variant, solvable)
     try:

@@ -33,6 +33,17 @@ def test_a_trajectory_is_the_episode_that_is_played_alone(mouse):
         assert np.array_equal(one.rewards, alone.rewards) and one.terminated == alone.terminated
 
 
+def test_what_a_function_does_to_its_observations_is_not_what_was_seen():
+    def blind(seen):
+        seen[:] = 0
+        return np.full(len(seen), 7)
+
+    here = ("maze", "anywhere-small", LEVELS[:1])
+    (one,) = dataset.trajectories(astray.Function(blind), *here, longest=3)
+    (seen,), _ = GameVectorEnv(*here[:2]).reset(options={"level": LEVELS[0]})
+    assert np.array_equal(one.observations[0], seen)
+
+
 def test_what_is_read_is_what_was_written(mouse, tmp_path, monkeypatch):
     monkeypatch.setattr(dataset, "PART", 40_000)  # bytes: several files
     folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS, tmp_path / "set")

@@ -191,7 +191,7 @@ def test_files_and_folders_of_levels_are_read(game, tmp_path):
     (tmp_path / "b.txt").write_text(f"; a comment\n{level}\n\n; another\n\n{level}\n")
     (tmp_path / "a.json").write_text(json.dumps(level.to_json(), indent=2))
     (tmp_path / "c.jsonl").write_text(f"{json.dumps(level.to_json())}\n" * 2)
-    found = read_levels(tmp_path, made, kind)
+    found = read_levels(str(tmp_path), made, kind)
     assert list(found) == ["a.json", "b.txt:1", "b.txt:2", "c.jsonl:1", "c.jsonl:2"]
     assert all(np.array_equal(other.cells, level.cells) for other in found.values())
     (tmp_path / "d.txt").write_text(str(level).replace(AGENT, "?"))

@@ -1,5 +1,6 @@
 """Adapters: functions, models of other libraries, and running trainings as policies."""
 
+import copy
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -68,8 +69,9 @@ class Function:
     def actions(self, turn: Turn) -> Answer:
         """Return an action per observation; raise ValueError if the function does not."""
         told = (turn.memory, turn.begins) if self.remembers else ()
+        seen = copy.deepcopy(turn.observations)  # the function may write to it
         with guarded(self.name, ValueError, ImportError):  # which say what is wrong
-            answer = self.choose(turn.observations, *told)
+            answer = self.choose(seen, *told)
         if not self.remembers:
             return Answer(checked_actions(self.name, answer, turn))
         if not isinstance(answer, tuple) or len(answer) != 2:
