@@ -181,7 +181,9 @@ def test_a_game_that_names_what_it_lacks_cannot_be_made(wrong, said):
 def test_a_game_whose_code_cannot_be_compiled_is_told():
     maze = games.find("maze")
     rules = SimpleNamespace(**vars(maze.rules) | {"step": lambda s, action: (0.0, False)})
-    with pytest.raises(ValueError, match=r"code of the game 'plain' fails: TypingError.*global name .*step"):
+    with pytest.raises(
+        ValueError, match=r"code of the game 'plain' fails: TypingError.*global name .*step"
+    ):
         GameVectorEnv(replace(maze, name="plain", rules=rules), "corner")
 
 
