@@ -11,7 +11,7 @@ import pytest
 import torch
 
 import astray
-from astray import acting, protocols
+from astray import acting, games, protocols, world
 from astray.training import levels
 from helpers.documented import public
 
@@ -28,6 +28,8 @@ SHOWN += [
 @pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: shown.__name__)
 def test_an_example_runs_and_prints_what_it_says(shown, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    for module in (games, world):  # what an example registers is not there for other tests
+        monkeypatch.setattr(module, "_registered", {**module._registered})
     names = {"astray": astray, "gymnasium": gymnasium, "np": np, "torch": torch}
     (test,) = doctest.DocTestFinder(recurse=False).find(shown, shown.__name__, globs=names)
     assert test.examples, f"{shown.__name__} shows no example"

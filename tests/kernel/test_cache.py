@@ -207,7 +207,7 @@ def test_games_compile_at_once_and_one_game_once(monkeypatch):
     assert compile_both("maze", "keys") == [None, None] and sorted(inside) == ["keys", "maze"]
     monkeypatch.setattr(both, "_timeout", 0.1)
     failed = compile_both("maze", "maze")
-    assert [type(error) for error in failed] == [threading.BrokenBarrierError] * 2
+    assert [type(error.__cause__) for error in failed] == [threading.BrokenBarrierError] * 2
 
 
 @COMPILED

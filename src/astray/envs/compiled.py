@@ -11,10 +11,10 @@ import numpy as np
 from astray.envs import loops
 from astray.envs.pool import alone
 from astray.game import OWN, Game, Looks
-from astray.imports import guarded
 from astray.kernel import rng
 from astray.kernel.grid import distances
 from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
+from astray.validation import shown
 
 LOG = logging.getLogger("astray")
 SILENT = 2.0  # seconds of compiling before it is announced
@@ -24,7 +24,7 @@ NO_RESULTS = np.empty(0), FLAGS, FLAGS
 
 
 def compiled_loop(game: Game, art: str = OWN) -> Callable:
-    """Return `loops.run` compiled for a game and an art, from the cache if possible."""
+    """Return `loops.run` compiled for a game and an art; raise ValueError if that fails."""
     return _compiled(game, game.drawn(art).name)
 
 
@@ -48,9 +48,15 @@ def _compiled(game: Game, art: str) -> Callable:
     functions["begin_one"] = specialise(loops.begin, label, shared, **functions)
     functions["observe_one"] = specialise(loops.observe, label, kernel, **functions)
     run = specialise(loops.run, label, ACTIONS=len(game.actions), **functions)
-    failing = guarded(f"the code of the game {game.name!r}", MemoryError)
-    with one_at_a_time(label), _announced(game), failing:
-        _compile(game, looks, run)
+    try:
+        with one_at_a_time(label), _announced(game):
+            _compile(game, looks, run)
+    except (MemoryError, OSError):
+        raise
+    except Exception as error:
+        raise ValueError(
+            f"the code of the game {game.name!r} fails: {shown(error, 300)}"
+        ) from error
     _compile_shared()
     return run
 

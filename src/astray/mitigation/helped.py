@@ -85,6 +85,7 @@ class Helped(_Shown):
             )
 
     def actions(self, turn: Turn) -> Answer:
+        """Return actions; raise ValueError unless there is a score for each episode."""
         env, n = turn.env, len(turn.begins)
         novice, expert, before = turn.memory or (None, None, np.zeros(n, bool))
         with _asked_once(self.novice, self.expert):
@@ -122,6 +123,7 @@ class Alone(_Shown):
             of_kind("a score", score, Callable)
 
     def actions(self, turn: Turn) -> Answer:
+        """Return the novice's actions; raise ValueError unless there are scores of each episode."""
         with _asked_once(self.novice):
             own = self.novice.actions(turn)
             said = [_scores(score, turn) for score in self.scores]
