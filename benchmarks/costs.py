@@ -19,8 +19,9 @@ from astray.experiments import catalogue
 from astray.experiments.spec import Plan, Size, name_of_run
 from astray.training.config import SOLVER, Config
 from astray.training.fast.acceleration import torch_settings
+from astray.training.loop import improve
 from astray.training.trainer import Trainer
-from benchmarks.train import iterate, per_second
+from benchmarks.train import per_second
 
 SIZES: tuple[Size, ...] = ("smoke", "pixels", "night")
 # What agents of one kind may differ in: their speed is that of the first of them.
@@ -116,8 +117,8 @@ def speed(
 def _speed(config: Config, teacher: Path | None, seconds: float, rounds: int) -> float:
     with torch_settings(1):
         trainer = Trainer(config, teacher=teacher)
-        iterate(trainer)  # the first one allocates
+        improve(trainer)  # the first one allocates
         turn = seconds / rounds
-        done = [per_second(lambda: iterate(trainer), turn, "cpu") for _ in range(rounds)]
+        done = [per_second(lambda: improve(trainer), turn, "cpu") for _ in range(rounds)]
         trainer.close()
     return config.batch * median(done)
