@@ -87,7 +87,7 @@ def kind_of(config: Config) -> str:
 
 
 def cost(config: Config, taught: float, alone: float) -> float:
-    """Return seconds a step, of which a student has some with its teacher, at two speeds."""
+    """Return seconds per step, at `taught` steps per second in lessons and `alone` in others."""
     part = config.taught if config.teacher else 0.0
     return part / taught + (1 - part) / alone
 
@@ -95,7 +95,7 @@ def cost(config: Config, taught: float, alone: float) -> float:
 def speed(
     config: Config, teacher: Config | None, seconds: float, rounds: int
 ) -> tuple[float, float]:
-    """Return steps per second with the teacher and by rewards alone, which are one without one.
+    """Return steps per second in lessons, and by rewards alone; equal if there is no teacher.
 
     teacher  settings of the agent that teaches, if one does
     """
