@@ -3,6 +3,7 @@
 import copy
 import json
 import os
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -337,6 +338,20 @@ def test_a_module_that_fails_is_named_whatever_it_raises(tmp_path, monkeypatch, 
         imports.find("failing:GAME")
     with pytest.raises(ValueError, match=r"failing\.py"):
         catalogue.find(str(tmp_path / "failing.py"))
+
+
+def test_users_code_of_two_threads_at_once_leaves_the_streams_as_they_were(monkeypatch):
+    monkeypatch.setattr(sys, "__stdout__", sys.stdout)  # as outside of tests
+    own = sys.stdout, sys.stderr
+    one, two = imports.guarded("one"), imports.guarded("two")
+    one.__enter__()
+    lent = sys.stdout
+    two.__enter__()
+    one.__exit__(None, None, None)
+    assert sys.stdout is lent is not own[0]
+    sys.stdout = None  # as the code may do
+    two.__exit__(None, None, None)
+    assert (sys.stdout, sys.stderr) == own
 
 
 @pytest.mark.parametrize("seed", [-1, 2**31, 2**63, 0.5])

@@ -4,6 +4,7 @@ import contextlib
 import importlib
 import re
 import sys
+import threading
 import warnings
 from collections.abc import Collection, Iterator, Sequence
 from importlib.metadata import EntryPoint, distribution, distributions
@@ -18,6 +19,36 @@ class Terminated(KeyboardInterrupt):
     """The process was asked to end, for instance by a cluster; partial files are removed."""
 
 
+class _Lent:
+    """The standard streams while users' code runs, which may print to, close or replace them.
+
+    Threads that run such code at once share what is lent: the first lends, the last takes back.
+    """
+
+    def __init__(self) -> None:
+        self.lock, self.inside = threading.Lock(), 0
+        self.own = sys.stdout, sys.stderr
+
+    def __enter__(self) -> None:
+        with self.lock:
+            self.inside += 1
+            if self.inside > 1:
+                return
+            self.own = sys.stdout, sys.stderr
+            if sys.__stderr__ and sys.stdout is sys.__stdout__:  # a program may read the output
+                stream = open(2, "w", 1, errors="backslashreplace", closefd=False)
+                sys.stdout = sys.stderr = stream
+
+    def __exit__(self, *_: object) -> None:
+        with self.lock:
+            self.inside -= 1
+            if not self.inside:
+                sys.stdout, sys.stderr = self.own
+
+
+_LENT = _Lent()
+
+
 @contextlib.contextmanager
 def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
     """Turn every error of a user's code into a ValueError, also an exit, but not an interrupt.
@@ -29,11 +60,8 @@ def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
     Raises:
         ValueError: If the code raises anything but those.
     """
-    out, err = sys.stdout, sys.stderr
-    if sys.__stderr__ and out is sys.__stdout__:  # the code may close both; programs read one
-        out = err = open(2, "w", 1, errors="backslashreplace", closefd=False)  # noqa: SIM115
     try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with _LENT:
             yield
     except (KeyboardInterrupt, *passed):  # nothing tells one that the code raises from Ctrl+C
         raise
