@@ -256,7 +256,7 @@ EXPERIMENT = Experiment(
             differences=f"{maze_corner.SMALL_WORLDS}; a network of patches, and 2 million steps "
             "instead of 200 million",
         ),
-        "night": maze_corner.by_night(shift="colour-or-shape", seeds=2),
+        "night": maze_corner.by_night(shift="colour-or-shape", seeds=3),
         "hour": of_mouse(
             replace(maze_corner.PAPER, knobs=dict(EASY), steps=25_000_000),
             shift="colour-or-shape",
