@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+import polars as pl
 import pytest
 
 from astray import games, imports
@@ -17,7 +18,16 @@ from astray.agency.measure import Episode, Options, decisions, measure_named
 from astray.agency.online import measure_online
 from astray.agency.steps import log_table, rule
 from astray.analysis.adapters import Function
+from astray.analysis.estimates import detectable, group_means, minus, quantile
 from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import (
+    INTENDED,
+    amounts,
+    label,
+    load_shift,
+    mark_distinguishing,
+    rates,
+)
 from astray.analysis.overlap import overlap
 from astray.analysis.policies import Random
 from astray.analysis.runs import evaluate_policies, evaluate_runs
@@ -25,6 +35,7 @@ from astray.envs.beginnings import initial_states
 from astray.envs.pictures import picture
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
+from astray.estimate import Estimate
 from astray.experiments import catalogue
 from astray.level import Level
 from astray.level_files import read_levels
@@ -37,6 +48,8 @@ MAZE, KEYS = games.find("maze"), games.find("keys")
 SMALL = MAZE.variant("corner-small")
 ROOM = World(np.ones((3, 3), bool))
 WALK = Episode(ROOM, ROOM.walk((0, 0), [0]), (2, 2))
+SHIFT = load_shift(MAZE, "corner")
+PLAYED = pl.DataFrame({"policy": "a", "variant": "b", "level": 0, "outcome": "died"})
 MASKED = np.ma.masked_array([1, 2], [True, False])
 
 
@@ -135,6 +148,22 @@ def test_a_number_or_a_fact_of_another_type_is_refused(wrong, message):
         (lambda: Random(seed=0.5), "seed must be an integer from 0 to .*; got 0.5"),
         (lambda: Random(observation="images"), "unknown observation 'images'; there are"),
         (lambda: register(3), "a world must be a World; got 3"),
+        (lambda: rates(PLAYED, outcomes=["misspelt"]), "'misspelt' of these episodes; there are: "),
+        (lambda: rates(PLAYED, outcomes=[INTENDED, "Died"]), "'Died' .*; there are: .*, died, "),
+        (lambda: rates(PLAYED, outcomes="died"), "outcomes must be a list or tuple; got 'died'"),
+        (lambda: rates(PLAYED, by="policy"), "by must be a list or tuple; got 'policy'"),
+        (lambda: amounts(PLAYED, ["steps"]), "episodes must have the columns steps"),
+        (lambda: label(3, MAZE, SHIFT), "episodes must be a DataFrame; got 3"),
+        (lambda: label(PLAYED, "maze", SHIFT), "game must be a Game or World, .*; got 'maze'"),
+        (lambda: label(PLAYED, MAZE, "corner"), "shift must be a Shift; got 'corner'"),
+        (lambda: mark_distinguishing(PLAYED, None), "shift must be a Shift; got None"),
+        (lambda: mark_distinguishing(PLAYED.drop("level"), SHIFT), "have the columns level"),
+        (lambda: group_means(3, "level", ["policy"]), "rows must be a DataFrame; got 3"),
+        (lambda: minus(0.5, Estimate.nothing()), "one must be a Estimate; got 0.5"),
+        (lambda: quantile([3]), r"freedom must be a finite number from 0 on; got \[3\]"),
+        (lambda: quantile(3, 1.5), "below must be a finite number from 0 to 1; got 1.5"),
+        (lambda: detectable(0, 100, 0.1), "agents must be an integer from 1 to .*; got 0"),
+        (lambda: detectable(3, 100, "0.1"), "spread must be a finite number from 0 on; got '0.1'"),
     ],
 )
 def test_an_argument_of_another_kind_is_refused_and_not_read_as_another(wrong, message):

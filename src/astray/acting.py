@@ -36,7 +36,8 @@ EVERY = 5.0  # seconds between reports of the levels played
 LASTING = 1_000_000  # steps; longer episodes count as endless
 OF_WORLD = 100_000  # likewise of a World, which tells no limit; its steps can take milliseconds
 REMEDY = ", or lower the variant's time_limit (--set time_limit=N)"  # of games
-GOES_ON = "%d of %d levels played; those begun go on after %d steps: --longest N truncates episodes"
+GOES_ON = "%d of %d levels played; those begun go on after %d steps: `longest` truncates episodes"
+SHORT = 10_000  # steps; of a game, longer episodes may seem to be endless
 BETWEEN_LOOKS = 64  # steps between looks for endless episodes, as a look takes 10 us
 LOG = logging.getLogger(__name__)  # reports progress at level INFO
 POLICY = ("name", "observation", "art", "actions")  # required attributes of a policy
@@ -349,7 +350,8 @@ def steps(
     n = min(int(batch), count)
     env = without_autoreset(game, variant, n, policy.observation, policy.art, longest)
     stage = LevelByLevel(env, levels, until, longest)
-    played, told, silent = 0, time.monotonic(), longest is None and isinstance(env, WorldVectorEnv)
+    played, told = 0, time.monotonic()
+    silent = longest is None and not 0 < env.variant.time_limit <= SHORT  # a World's is 0
     with contextlib.closing(stage):
         for step in play(Asking(policy), stage):
             played, ended = played + step.ended.sum(), step.ended.any()
@@ -377,10 +379,7 @@ def check_ending(
 
 
 def _endless(what: str, remedy: str) -> str:
-    return (
-        f"{what} steps: say `longest`, after which an episode is left (--longest, if this verb has "
-        f"it){remedy}"
-    )
+    return f"{what} steps: say `longest`, after which an episode is left{remedy}"
 
 
 def check_policy(policy: Any) -> None:

@@ -242,6 +242,8 @@ def test_rates_of_tables_do_not_depend_on_the_order_of_their_rows():
     apart = episodes.filter(pl.col("level") + 3 * pl.col("seed") < 40)  # fewer, of others
     assert rates(apart, ["policy"])["mean"][0] == (apart["outcome"] == INTENDED).mean()
     assert rates(apart.drop("seed"), ["policy"])["agents"][0] == 1
+    of_game = [*told["outcome"], "burnt"]  # which none of the episodes is
+    assert rates(episodes, ["policy"], of_game)["mean"].to_list() == [*told["mean"], 0]
     with pytest.raises(ValueError, match="each episode must have an outcome; 6 of 240 have none"):
         rates(episodes.with_columns(pl.when(pl.col("level") > 0).then("outcome").alias("outcome")))
 

@@ -166,6 +166,9 @@ def test_episodes_that_never_end_are_refused_at_once_or_left_after_the_longest(m
     monkeypatch.setattr(games, "_registered", {"lava": GAME})
     words = ("evaluate", "--policy", "helpers.lava:stay", "--game", "lava", "--shift", "lava",
              "--observation", "symbolic", "--variant", "for-ever", "--levels", "0:5")  # fmt: skip
-    assert "say `longest`" in astray(*words, fails=True)
+    assert "say --longest, after which" in astray(*words, fails=True)
     said = astray(*words, "--longest", "9")
     assert "helpers.lava:stay" in said and "apples a step" in said
+    words = ("--game", "maze", "--shift", "corner-small", "--policy", "random", "--levels", "0:2")
+    told = astray("agency", *words, "--set", "time_limit=2000000", fails=True)
+    assert "say `longest`, after which" in told  # an option that the verb lacks

@@ -330,7 +330,7 @@ def test_an_episode_without_end_is_left_after_the_longest(monkeypatch):
     assert table["length"].to_list() == [30] * len(LEVELS) and not table["terminated"].any()
     monkeypatch.setattr(acting, "OF_WORLD", 500)
     with pytest.raises(
-        ValueError, match=r"after 500 steps: say `longest`.*\(--longest, if this verb has it\)$"
+        ValueError, match=r"after 500 steps: say `longest`, after which an episode is left$"
     ):
         evaluate(left, troubled("endless"), "end", LEVELS[:1])
     with pytest.raises(ValueError, match="after 500 steps") as told:
@@ -345,12 +345,15 @@ def test_episodes_none_of_which_ends_are_told_before_they_are_refused(monkeypatc
     left = Function(lambda seen: np.zeros(len(seen), int), "left")
     with pytest.raises(ValueError, match="after 500 steps"):
         evaluate(left, troubled("endless"), "end", LEVELS[:2])
-    said = "levels played; those begun go on after {} steps: --longest N truncates episodes"
+    said = "levels played; those begun go on after {} steps: `longest` truncates episodes"
     assert caplog.messages == [f"0 of 2 {said.format(1)}"]
     evaluate(left, troubled("endless"), "end", LEVELS[:2], longest=30)
     assert caplog.messages[1:] == ["2 of 2 levels played"]
     evaluate(left, "maze", "corner-small", LEVELS[:2])  # whose time is limited
     assert not [one for one in caplog.messages[2:] if "longest" in one]
+    of_game = games.find("maze").variant("corner-small").with_knobs({"time_limit": 20_000})
+    next(acting.steps(left, "maze", of_game, LEVELS[:2]))
+    assert [one for one in caplog.messages if "longest" in one][1:] == [f"0 of 2 {said.format(1)}"]
 
 
 def test_a_level_without_end_after_others_is_told_where_nobody_asked_for_progress(
@@ -364,7 +367,7 @@ def test_a_level_without_end_after_others_is_told_where_nobody_asked_for_progres
     policy = Function(lambda seen: np.full(len(seen), next(moves)), "once")
     with pytest.raises(ValueError, match="after 500 steps"):
         evaluate(policy, troubled("endless"), "end", LEVELS[:2], batch=1)
-    said = "those begun go on after 3 steps: --longest N truncates episodes"
+    said = "those begun go on after 3 steps: `longest` truncates episodes"
     assert caplog.messages == [f"1 of 2 levels played; {said}"]
 
 

@@ -14,7 +14,6 @@ the equivalent number of independent episodes, which stays within 0 and 1 and al
 No random numbers are used. `tests/analysis/test_coverage.py` simulates the coverage.
 """
 
-import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,15 +23,17 @@ import numpy as np
 import polars as pl
 
 from astray.estimate import Estimate
-from astray.validation import of_kind, shown
+from astray.validation import MOST, bounded, finite, of_kind, shown
 
 CONFIDENCE = 0.95
 POWER = 0.8
 
 
-@functools.cache
 def quantile(freedom: float, below: float = (1 + CONFIDENCE) / 2) -> float:
     """Return a quantile of Student's t, or of the normal distribution if `freedom` is infinite."""
+    if freedom != math.inf:
+        finite("freedom", freedom, 0)
+    finite("below", below, 0, 1)
     from scipy.special import ndtri, stdtrit  # takes a second to import
 
     return float(ndtri(below) if math.isinf(freedom) else stdtrit(freedom, below))
@@ -189,6 +190,8 @@ def minus(one: Estimate, other: Estimate) -> Estimate:
 
     Each half-width is the root of the sum of the squared half-widths of the two intervals.
     """
+    of_kind("one", one, Estimate)
+    of_kind("other", other, Estimate)
     mean = one.mean - other.mean
     below = math.hypot(one.mean - one.low, other.high - other.mean)
     above = math.hypot(one.high - one.mean, other.mean - other.low)
@@ -208,7 +211,14 @@ def detectable(
         spread: Standard deviation of their true rates.
         kinds: 1, or 2 for the difference of two kinds with pooled spread.
         rate: Rate near which they are.
+
+    Raises:
+        ValueError: If a number is of another kind, or out of its range.
     """
+    for name, count in {"agents": agents, "levels": levels, "kinds": kinds}.items():
+        bounded(name, count, 1, MOST)
+    finite("spread", spread, 0)
+    finite("rate", rate, 0, 1)
     from scipy.special import nctdtrinc  # takes a second to import
 
     variance = spread**2 + rate * (1 - rate) / levels
@@ -354,8 +364,11 @@ def group_means(
         freedom.
 
     Raises:
-        ValueError: If a column is missing or `per` is negative.
+        ValueError: If a column is missing, `per` is negative, or an argument is of another kind.
     """
+    of_kind("rows", rows, pl.DataFrame)
+    of_kind("value", value, str)
+    of_kind("by", by, list | tuple)
     missing = {value, "level", *by, *([per] if per else [])} - set(rows.columns)
     if missing:
         raise ValueError(f"no column {', '.join(sorted(missing))}; there are: {rows.columns}")

@@ -6,7 +6,7 @@ An episode has one outcome: the intended goal, goal misgeneralization, one of th
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import polars as pl
@@ -25,6 +25,7 @@ AGENT = ("run", "checkpoint", "seed")  # columns that identify an agent
 REACHED_NEITHER = ~pl.col("outcome").is_in([INTENDED, MISGENERALIZED])  # an end or a failure
 
 
+@runtime_checkable
 class Goals(Protocol):
     """A game, or any other object with goals and other ends."""
 
@@ -74,8 +75,12 @@ def label(episodes: pl.DataFrame, game: Goals, shift: Shift) -> pl.DataFrame:
     `mark_distinguishing`.
 
     Raises:
-        ValueError: If a goal of the shift is unknown.
+        ValueError: If a goal of the shift is unknown, or an argument is of another kind.
     """
+    _check_columns(episodes, ())
+    if not isinstance(game, Goals):
+        raise ValueError(f"game must be a Game or World, as `games.find` gives; got {shown(game)}")
+    of_kind("shift", shift, Shift)
     intended = _step(game, shift.intended)
     # null beside them, as a shift may have no proxy
     proxy = pl.min_horizontal(pl.lit(None, pl.Int64), *(_step(game, g) for g in shift.proxies))
@@ -121,7 +126,12 @@ def mark_distinguishing(episodes: pl.DataFrame, shift: Shift) -> pl.DataFrame:
 
     It is true in distinguishing levels, where the shortest way to the intended goal does not pass
     a proxy first, or vice versa.
+
+    Raises:
+        ValueError: If columns are missing, or an argument is of another kind.
     """
+    _check_columns(episodes, ("policy", "variant", "level", "outcome"))
+    of_kind("shift", shift, Shift)
 
     def levels(goal: str, outcome: str) -> pl.DataFrame:
         passed = (pl.col("policy") == Walk(goal).name) & (pl.col("outcome") == outcome)
@@ -143,8 +153,8 @@ def rates(
     """Return the rate of each outcome in each group of episodes, with 95 % intervals.
 
     Args:
-        outcomes: `outcomes_of` the game; None for the three common ones and the ends that
-            occurred.
+        outcomes: `outcomes_of` the game, or some that occurred or are common; None for the three
+            common ones and the ends that occurred.
         episodes: Table with columns seed (of the agent, null for a script), level, outcome and
             `by`.
 
@@ -152,18 +162,21 @@ def rates(
         Columns of `by`, outcome, mean, low, high (rates, 0 to 1), agents, levels.
 
     Raises:
-        ValueError: If columns are missing, or an episode has no outcome.
+        ValueError: If columns are missing, an episode has no outcome, or one of `outcomes` is
+            unknown.
     """
-    of_kind("episodes", episodes, pl.DataFrame)
-    if missing := [name for name in (*by, "level", "outcome") if name not in episodes.columns]:
-        raise ValueError(f"episodes must have the columns {', '.join(missing)}")
+    of_kind("by", by, list | tuple)
+    _check_columns(episodes, (*by, "level", "outcome"))
     if taken := {"outcome", *(field.name for field in fields(Estimate))} & {*by}:
         raise ValueError(f"by must not be {', '.join(sorted(taken))}, which rates have themselves")
     if nulls := episodes["outcome"].null_count():
         raise ValueError(f"each episode must have an outcome; {nulls} of {len(episodes)} have none")
-    if outcomes is None:
-        others = sorted({*episodes["outcome"]} - {*OUTCOMES})
-        outcomes = (INTENDED, MISGENERALIZED, *others, FAILED)
+    occurred = {*episodes["outcome"]}
+    there = (INTENDED, MISGENERALIZED, *sorted(occurred - {*OUTCOMES}), FAILED)
+    outcomes = there if outcomes is None else outcomes
+    of_kind("outcomes", outcomes, list | tuple)
+    for outcome in outcomes if not occurred <= {*outcomes} else ():  # not all of the game's
+        one_of("outcome", outcome, there, of="these episodes")
     rows = []
     for key, part in episodes.group_by(by, maintain_order=True):
         for outcome in outcomes:
@@ -178,13 +191,25 @@ def amounts(
     """Return the mean of each measure in each group of episodes, with 95 % intervals.
 
     Columns: those of `by`, measure, mean, low, high, agents, levels.
+
+    Raises:
+        ValueError: If columns are missing.
     """
+    of_kind("measures", measures, list | tuple)
+    of_kind("by", by, list | tuple)
+    _check_columns(episodes, (*by, "level", *measures))
     rows = [
         dict(zip(by, key, strict=True)) | {"measure": name} | vars(_mean(part, pl.col(name)))
         for key, part in episodes.group_by(by, maintain_order=True)
         for name in measures
     ]
     return pl.DataFrame(rows)
+
+
+def _check_columns(episodes: pl.DataFrame, names: Sequence[str]) -> None:
+    of_kind("episodes", episodes, pl.DataFrame)
+    if missing := [name for name in names if name not in episodes.columns]:
+        raise ValueError(f"episodes must have the columns {', '.join(map(str, missing))}")
 
 
 def _mean(episodes: pl.DataFrame, value: pl.Expr) -> Estimate:

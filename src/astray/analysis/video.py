@@ -93,7 +93,7 @@ def _fitting(played: Iterable[Step], pixels: int) -> Iterator[Step]:
         if k == most:
             raise ValueError(
                 f"a video of {pixels} pixels a side has at most {most:,} steps, and the episode "
-                "goes on: say `longest`, the steps after which it is left (--longest)"
+                "goes on: say `longest`, the steps after which it is left"
             )
         yield step
 

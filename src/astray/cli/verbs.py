@@ -67,8 +67,9 @@ def run() -> None:
     if given == ["--version"]:
         print(version("astray"))
     elif given and given[0] in VERBS:
-        verb = _parsed(find(given[0]), given)
-        with _progress():
+        function = find(given[0])
+        verb = _parsed(function, given)
+        with _told("longest" in inspect.signature(function).parameters):
             verb()
     elif given and not given[0].startswith("-"):
         raise ValueError(f"unknown verb {given[0]!r}; there are: {', '.join(VERBS)}")
@@ -150,13 +151,23 @@ def _mistake(call: Callable[..., Any], given: list[str], refused: str) -> str:
 
 
 @contextlib.contextmanager
-def _progress() -> Iterator[None]:
-    """Write on standard error how many levels have been played, every few seconds."""
+def _told(has_longest: bool) -> Iterator[None]:
+    """Write on standard error how many levels have been played, every few seconds.
+
+    There and in errors, the argument `longest` is called --longest if the verb has that option.
+    """
+
+    def named(text: str) -> str:
+        return text.replace("`longest`", "--longest") if has_longest else text
+
     log, handler = logging.getLogger("astray.acting"), logging.StreamHandler()
+    handler.format = lambda record: named(record.getMessage())
     log.addHandler(handler)
     log.setLevel(logging.INFO)
     try:
         yield
+    except ValueError as error:
+        raise ValueError(named(str(error))) from error
     finally:
         log.removeHandler(handler)
 
