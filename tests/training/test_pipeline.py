@@ -42,6 +42,7 @@ def test_what_suits_a_gpu():
     suits = resolve(replace(PRESETS["paper"], device="cuda"))
     assert suits.bfloat16 and suits.channels_last and suits.cudagraphs and suits.groups == 2
     assert not suits.fused_cpu
+    assert resolve(replace(PRESETS["paper"], device="cuda", teacher="solver")).cudagraphs
     off = resolve(PRESETS["paper"].changed(**OFF, device="cuda"))
     assert not (off.bfloat16 or off.channels_last or off.compile or off.cudagraphs)
 

@@ -115,8 +115,7 @@ def resolve(config: Config, ours: bool = True, planes: bool = True) -> Accelerat
             "channels_last", config, ours and layout, suits=cuda or config.network == "cells"
         ),
         compile=_settled("compile", config, ours and compiler, suits=cuda),
-        # Those of students are to be asked for: they have not run on a real GPU.
-        cudagraphs=_settled("cudagraphs", config, ours and cuda, suits=alone),
+        cudagraphs=_settled("cudagraphs", config, ours and cuda),
         microbatch=microbatch(config, ours and cpu and config.network != "mlp"),
         groups=groups(config),
         together=fused_cpu or cuda,
