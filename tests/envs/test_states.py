@@ -205,6 +205,16 @@ def test_every_state_that_is_played_passes_the_check(game, variant):
         env.game.check(env.get_state(), env.variant)
 
 
+def test_states_are_shown_otherwise_as_they_are_at_the_time():
+    env, first = played("coinrun", "coin-anywhere"), played("coinrun", "coin-anywhere", steps=5)
+    other = GameVectorEnv("coinrun", "coin-anywhere", 4, observation="symbolic")
+    symbols, images = env.shown_as("symbolic", "own"), env.shown_as("image", "own")
+    for states in (env.get_state(), first.get_state()):
+        seen = env.set_state(states)
+        assert np.array_equal(images(), seen)
+        assert np.array_equal(symbols(), other.set_state(states))
+
+
 def test_an_environment_that_repeats_begins_in_its_own_state_again_and_again():
     env = GameVectorEnv(
         "maze", "anywhere-small", 6, observation="symbolic", autoreset_mode="SameStep", threads=2

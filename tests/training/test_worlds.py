@@ -146,6 +146,7 @@ def troubled(make):
         ({"sampler": "mixed"}, "levels of room are drawn uniformly, .*; got the sampler 'mixed'"),
         ({"art": "original"}, "unknown art 'original' of room; there are: own"),
         ({"teacher": "solver"}, "the game 'room' has no solver"),
+        ({"teacher": "mouse"}, "no agent teaches there, .* 'uniform' and the teacher mouse"),
         ({"knobs": {"colour": 3}}, "the factory of room end takes no such knob: .*'colour'"),
         ({"variant": "gone"}, "unknown variant of room 'gone'; there are: end, anywhere"),
         ({"observation": "image", "network": "impala"},

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -304,6 +305,15 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._take(states, np.ones(self.num_envs, bool))
         self._seeded = True
         return self._do(np.full(self.num_envs, AS_SET))
+
+    def shown_as(self, observation: Observation, art: str) -> Callable[[], np.ndarray]:
+        """Return a function that returns other observations [N, ...] of the states at its call."""
+        other = GameVectorEnv(
+            self.game, self.variant, self.num_envs,
+            observation=observation, art=art, threads=self._threads,
+        )  # fmt: skip
+        other._states = self._states
+        return functools.partial(other._do, np.full(self.num_envs, AS_SET))
 
     def repeat(self, states: np.ndarray | None) -> None:
         """Begin every following episode of an environment in its own one of the `states` [N].

@@ -163,10 +163,11 @@ class Config:
         # What text says is the same setting as the value itself.
         object.__setattr__(self, "knobs", {name: getattr(variant, name) for name in self.knobs})
         self.find_game().drawn(self.art)
-        if isinstance(self.find_game(), World) and self.sampler.kind != "uniform":
+        how = self.sampler.kind, self.teacher
+        if isinstance(self.find_game(), World) and how != ("uniform", None):
             raise ValueError(
-                f"levels of {self.game} are drawn uniformly, as its states cannot be set; got the "
-                f"sampler {self.sampler.kind!r}"
+                f"levels of {self.game} are drawn uniformly, and no agent teaches there, as its "
+                f"states cannot be set; got the sampler {how[0]!r} and the teacher {how[1]}"
             )
         if self.validation is not None:
             self.variant_for(self.validation)

@@ -20,9 +20,7 @@ from torch import Tensor
 from astray.acting import Actor, Answer, Turn
 from astray.agents import policy
 from astray.agents.recurrent import Recurrent
-from astray.envs.vector import GameVectorEnv
 from astray.files import check_own, make_folder, read, remove_made, write_aside
-from astray.record import trusted
 from astray.training import ppo
 from astray.training.config import Config
 from astray.training.folders import CONFIG
@@ -85,9 +83,9 @@ class Lessons:
             self.rollout.player.scatter(np.random.default_rng([self.config.seed, SALT, steps]))
 
     def send(self, t: int, group: int, turn: Turn) -> None:
-        if t < len(self._wanted):
-            self._wanted[t] = self.says(t, turn.begins)
         self.student.send(t, group, turn)
+        if t < len(self._wanted):  # while a GPU infers for the student
+            self._wanted[t] = self.says(t, turn.begins)
 
     def receive(self, group: int) -> Answer:
         return self.student.receive(group)
@@ -126,30 +124,22 @@ class Teacher(Lessons):
         size = self.network.memory if isinstance(self.network, Recurrent) else 0
         # What a teacher with memory remembers of the student's episodes.
         self.state = torch.zeros((len(rollout.player.images), size), device=config.device)
-        symbolic = bool(known.largest)
-        self.env = GameVectorEnv(
-            config.game,
-            config.training_variant(),
-            len(rollout.player.images),
-            observation="symbolic" if symbolic else "image",
-            art=config.art,
-            threads=config.threads,
-        )
-        sees = self.env.single_observation_space.shape
-        if (sees, len(self.env.game.actions)) != (known.shape, known.actions):
+        observation = "symbolic" if known.largest else "image"
+        self.shown = rollout.player.envs[0].shown_as(observation, config.art)
+        sees = self.shown().shape[1:]
+        if (sees, rollout.player.actions) != (known.shape, known.actions):
             raise ValueError(
                 f"the teacher {config.teacher} must know observations of {sees}, those of "
                 f"{config.variant}; it knows {known.shape}"
             )
-        self._value = torch.empty((config.num_steps, self.env.num_envs), device=config.device)
+        self._value = torch.empty(self._wanted.shape[:2], device=config.device)
 
     def samples(self) -> Taught:
         made = super().samples()
         return replace(made, target=self._value) if self.config.taught == 1 else made
 
     def says(self, t: int, begins: np.ndarray) -> Tensor:
-        states = np.concatenate([env.get_state() for env in self.rollout.player.envs])
-        observations = torch.from_numpy(self.env.set_state(states)).to(self.config.device)
+        observations = torch.from_numpy(self.shown()).to(self.config.device)
         if isinstance(self.network, Recurrent):
             first = torch.from_numpy(begins).to(self.config.device)
             logits, values, self.state = self.network.recall(observations, self.state, first)
@@ -170,7 +160,7 @@ class Solver(Lessons):
     def says(self, t: int, begins: np.ndarray) -> Tensor:
         player = self.rollout.player
         solver, actions = player.game.solver, player.actions
-        states = trusted(np.concatenate([env.get_state() for env in player.envs]))
+        states = player.envs[0].get_state()
         wanted = np.full((len(states), actions), np.log((1 - SURE) / (actions - 1)), np.float32)
         for i, s in enumerate(states):
             expert = self.experts[i]
