@@ -21,6 +21,7 @@ from astray.acting import Actor, Answer, Turn
 from astray.agents import policy
 from astray.agents.recurrent import Recurrent
 from astray.files import check_own, make_folder, read, remove_made, write_aside
+from astray.record import trusted
 from astray.training import ppo
 from astray.training.config import Config
 from astray.training.folders import CONFIG
@@ -159,13 +160,12 @@ class Solver(Lessons):
 
     def says(self, t: int, begins: np.ndarray) -> Tensor:
         player = self.rollout.player
-        solver, actions = player.game.solver, player.actions
-        states = player.envs[0].get_state()
-        wanted = np.full((len(states), actions), np.log((1 - SURE) / (actions - 1)), np.float32)
+        states, shape = trusted(player.envs[0].get_state()), self._wanted.shape[1:]
+        wanted = np.full(shape, np.log((1 - SURE) / (player.actions - 1)), np.float32)
         for i, s in enumerate(states):
             expert = self.experts[i]
             if expert is None or begins[i]:
-                expert = self.experts[i] = solver.expert(s, self.goal)
+                expert = self.experts[i] = player.game.solver.expert(s, self.goal)
             wanted[i, expert(s)] = np.log(SURE)
         return torch.from_numpy(wanted).to(self.config.device)
 
