@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from matplotlib.figure import Figure
 
 import astray
 from astray.analysis.adapters import Function
@@ -14,6 +15,7 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.policies import Random
 from astray.analysis.results import Result
 from astray.experiments.compare import _short, compare, paired
+from astray.report.findings import Plot
 from astray.training import folders
 from helpers.rooms import WORLD, go_right
 
@@ -119,8 +121,24 @@ def test_returns_of_trainings_are_drawn(monkeypatch, tmp_path):
 
     agent = astray.load_agent(AGENT)
     folder = page.AgentFolder.of(agent.path).path
-    drawn = {}
-    monkeypatch.setattr(page, "curve_plot", lambda runs: drawn.update(runs))
+    drawn, plot = {}, Plot("curves", "", Figure(), None)
+    monkeypatch.setattr(page, "curve_plot", lambda runs: drawn.update(runs) or plot)
     monkeypatch.setattr(page, "METRICS", "config.json")  # which the folder has
     page._curves({"mouse": agent, "random": Random()})
     assert drawn == {"mouse": [folder]}
+
+
+@pytest.mark.parametrize("lines", ["", '{"steps": 9, "training/return": 1.5}\n', '{"steps": 9}\n'])
+def test_trainings_without_returns_are_compared_without_curves(
+    lines, astray, tmp_path, monkeypatch
+):
+    runs = [shutil.copytree(folders.find(AGENT), tmp_path / f"seed-{k}") for k in (0, 1)]
+    for run in runs:
+        (run / "metrics.jsonl").write_text(lines)  # of a training that had hardly begun
+    out = tmp_path / "page"
+    assert astray("compare", *runs, "--levels", "0:3", "--longest", "9", "--out", out)
+    assert "Learning curves" not in (out / "compare.html").read_text()
+    (runs[1] / "metrics.jsonl").write_text("no JSON\n")
+    monkeypatch.setattr("astray.experiments.compare.evaluate_policies", None)  # nobody plays
+    told = astray("compare", *runs, "--levels", "0:3", "--out", out, fails=True)
+    assert "metrics.jsonl, line 1: it is not JSON" in told

@@ -74,8 +74,10 @@ def compare(
     between = load_shift(game, shift)
     scripts = {one.name for one in scripts_of(world.find(game), between)}
     tested = [one for one in policies if isinstance(one, Agent) or one.name not in scripts]
-    result = evaluate_policies(tested, game, shift, levels, variant=variant, longest=longest)
     short = _short(names)
+    players = dict(zip(short.values(), policies, strict=True))
+    curves = _curves(players)  # before the work, as metrics may be damaged
+    result = evaluate_policies(tested, game, shift, levels, variant=variant, longest=longest)
     rates, episodes = (one.with_columns(pl.col("policy").replace(short)) for one in result)
     agents = tuple(short[name] for name in result.agents)
     result, names = (
@@ -86,8 +88,7 @@ def compare(
     differences = paired(result, names)
     where: Any = variant or between.test
     named = (name for name, one in world.find(game).variants.items() if one == where)
-    players = dict(zip(names, policies, strict=True))
-    shown: list[Plot] = [_outcomes(rates), *_curves(players)]
+    shown: list[Plot] = [_outcomes(rates), *curves]
     told: dict[str, Sequence[Item]] = {
         "": [*result.verdict.splitlines(), Code(command or WRITER)],
         "Outcomes": [shown[0], Table("outcomes", "Which goal was reached first", rates)],
@@ -172,13 +173,14 @@ def _outcomes(rates: pl.DataFrame) -> Plot:
 
 
 def _curves(players: Mapping[str, Policy]) -> list[Plot]:
-    """Plot the returns of trainings, of those agents whose folder has them."""
+    """Plot the returns of trainings, of those agents whose folder has them; in short ones none."""
     runs = {
         name: [AgentFolder.of(one.path).path]
         for name, one in players.items()
         if isinstance(one, Agent) and (AgentFolder.of(one.path).path / METRICS).exists()
     }
-    return [curve_plot(runs)] if runs else []
+    plots = [curve_plot(runs)] if runs else []
+    return [plot for plot in plots if any(axes.has_data() for axes in plot.figure.axes)]
 
 
 def _videos(

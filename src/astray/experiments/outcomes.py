@@ -234,7 +234,8 @@ def curves(work: Work | Mapping[str, Sequence[Path]]) -> pl.DataFrame:
     for name, runs in trained.items():
         for run in runs:
             config = read_config(run)
-            table = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)
+            lines = checkpoint.metrics(run) or {"steps": []}
+            table = pl.DataFrame(lines, infer_schema_length=None)
             tables.append(
                 table.with_columns(
                     agent=pl.lit(name), seed=pl.lit(config.seed), **fair(table, config)
@@ -281,7 +282,7 @@ def published_curves(work: Work | Mapping[str, Sequence[Path]], data: pl.DataFra
     trained = work.runs if isinstance(work, Work) else work
     last = dict(data.group_by("agent").agg(pl.col("steps").max()).iter_rows())
     return pl.concat(
-        beside(read_config(runs[0]), last[name]).with_columns(agent=pl.lit(name))
+        beside(read_config(runs[0]), last.get(name, 0)).with_columns(agent=pl.lit(name))
         for name, runs in trained.items()
     )
 

@@ -43,7 +43,7 @@ def names_of(data: pl.DataFrame, column: str | None) -> list[Any]:
 
 def parts_of(data: pl.DataFrame, column: str | None) -> dict[str, pl.DataFrame]:
     """Split the table by a column, in the table's order, or return it whole if there is none."""
-    if not column:
+    if not column or data.is_empty():
         return {"": data}
     return {one: data.filter(pl.col(column) == one) for one in names_of(data, column)}
 

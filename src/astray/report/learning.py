@@ -27,7 +27,8 @@ def learning_curves(
         published: Curves of others, drawn dashed: columns agent, series (name), steps and mean.
     """
     agents = names_of(data, "agent") if "agent" in data else [""]
-    parts = []
+    kinds = {"steps": pl.Float64, "mean": pl.Float64, "seed": pl.Int64, "series": pl.String}
+    parts = [pl.DataFrame(schema=kinds)]  # as there may be no value
     for agent in agents:
         for column, name in series.items():
             mine = data.filter(pl.col("agent") == agent) if agent else data
