@@ -159,6 +159,11 @@ def ruined(folder, what):
         data = json.loads((folder / "dataset.json").read_text())
         data["state"][0][0] = "other"
         (folder / "dataset.json").write_text(json.dumps(data))
+    elif what == "dtype":
+        data = json.loads((folder / "dataset.json").read_text()) | {"dtype": ","}
+        (folder / "dataset.json").write_text(json.dumps(data))
+    elif what == "a part":
+        next((folder / "steps").iterdir()).unlink()
     else:
         part = next((folder / "steps").iterdir())
         table = pl.read_parquet(part)
@@ -171,6 +176,8 @@ def ruined(folder, what):
         ("settings", "must be an object of format 1"),
         ("states", "other fields than those of this version"),
         ("steps", "is not as astray writes it"),
+        ("dtype", "cannot be read as a data set"),
+        ("a part", "set lacks the steps of 1 episodes"),
     ],
 )
 def test_what_is_no_data_set_is_told(tmp_path, what, message):

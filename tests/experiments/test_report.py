@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from unittest.mock import Mock
 from urllib.parse import quote, urljoin
 
 import av
@@ -423,14 +424,17 @@ def test_ruined_findings_are_told_and_hide_no_other_report(told, tmp_path, capsy
     assert re.search(f"left out of the index: .*{RUINED}", capsys.readouterr().err)
 
 
-def test_a_table_that_was_cut_short_is_told(tmp_path):
+def test_a_table_that_was_cut_short_is_told(tmp_path, monkeypatch):
     whole = spec.cached(tmp_path, "a", lambda: pl.DataFrame({"x": range(99)}))
     path = tmp_path / "computed" / "a.parquet"
     assert spec.cached(tmp_path, "a", whole.clear).equals(whole)
     path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(
-        ValueError, match=r"a.parquet is not a table of astray's.* it is computed again"
-    ):
+    told = r"a.parquet is not a table of astray's.* it is computed again"
+    with pytest.raises(ValueError, match=told):
+        spec.cached(tmp_path, "a", whole.clear)
+    panics = Mock(side_effect=pl.exceptions.PanicException("range end index 9"))  # no Exception
+    monkeypatch.setattr(pl, "read_parquet", panics)
+    with pytest.raises(ValueError, match=told):
         spec.cached(tmp_path, "a", whole.clear)
 
 

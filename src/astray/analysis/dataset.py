@@ -9,7 +9,6 @@ Minari's layout is data/main_data.hdf5, which its readers accept.
 """
 
 import errno
-import io
 import json
 import os
 import shutil
@@ -26,7 +25,7 @@ from gymnasium import spaces
 
 from astray import games, imports, world
 from astray.acting import Levels, Policy, check_policy, steps
-from astray.analysis.tables import write_table
+from astray.analysis.tables import read_table, write_table
 from astray.envs import VERSION
 from astray.envs.vector import GameVectorEnv
 from astray.files import check_writable, folder_aside, read, write_aside
@@ -231,7 +230,7 @@ def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Traject
 
     Raises:
         FileNotFoundError: If there is no data set.
-        ValueError: If the files are damaged, or of another version's states.
+        ValueError: If the files are damaged, incomplete, or of another version's states.
     """
     of_kind("folder", folder, str | Path)
     folder = Path(folder)
@@ -249,16 +248,19 @@ def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Traject
             raise ValueError("its states have other fields than those of this version")
     except FileNotFoundError:
         raise FileNotFoundError(f"there is no data set in {folder}") from None
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError, SyntaxError) as error:  # of a dtype
         raise ValueError(f"{path} cannot be read as a data set: {error}") from error
+    left = read_table(folder / "episodes.parquet").height
     for part in sorted((folder / "steps").glob("[0-9]*.parquet")):
-        try:  # polars would expand [ and * in a path
-            table = pl.read_parquet(io.BytesIO(read(part)))
-            episodes = table.partition_by("level", maintain_order=True)
-        except pl.exceptions.PolarsError as error:
+        try:
+            episodes = read_table(part).partition_by("level", maintain_order=True)
+        except (ValueError, pl.exceptions.PolarsError) as error:
             raise ValueError(f"{part} is not as astray writes it: {brief(error)}") from error
         for rows in episodes:
+            left -= 1
             yield _trajectory(rows, game.state, shape, kind, part)
+    if left:
+        raise ValueError(f"{folder} lacks the steps of {left} episodes")
 
 
 def _trajectory(

@@ -1,11 +1,12 @@
-"""Atomic files of tables."""
+"""Files of tables: written atomically, and checked as they are read."""
 
 import io
 from pathlib import Path
 
 import polars as pl
 
-from astray.files import write_aside
+from astray.files import read, write_aside
+from astray.validation import brief
 
 
 def write_table(table: pl.DataFrame, path: Path) -> None:
@@ -19,3 +20,11 @@ def write_table(table: pl.DataFrame, path: Path) -> None:
     else:
         table.write_parquet(file)
     write_aside(path, file.getvalue())
+
+
+def read_table(path: Path) -> pl.DataFrame:
+    """Return the table of a Parquet file; raise ValueError if it is damaged."""
+    try:  # polars would expand [ and * in a path; damaged tables may make it panic
+        return pl.read_parquet(io.BytesIO(read(path)))
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+        raise ValueError(f"{path} is not a table of astray's: {brief(error)}") from error

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import io
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -19,8 +18,7 @@ from astray.acting import Policy, Reward
 from astray.analysis.estimates import detectable
 from astray.analysis.evaluate import COLUMNS, Measure, check_measures
 from astray.analysis.outcomes import load_shift, name_of
-from astray.analysis.tables import write_table
-from astray.files import read
+from astray.analysis.tables import read_table, write_table
 from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
 from astray.report.findings import Findings
@@ -314,11 +312,9 @@ def cached(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.D
     path = computed(folder) / f"{name}.parquet"
     if path.exists():
         try:
-            return pl.read_parquet(io.BytesIO(read(path)))
-        except pl.exceptions.PolarsError as error:
-            raise ValueError(
-                f"{path} is not a table of astray's: {error}; remove it, and it is computed again"
-            ) from error
+            return read_table(path)
+        except ValueError as error:
+            raise ValueError(f"{error}; remove it, and it is computed again") from error
     table = compute()
     write_table(table, path)
     return table

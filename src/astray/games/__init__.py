@@ -76,7 +76,7 @@ def find(game: str | Game) -> Game:
         return _registered[game]
     if game in _offered():
         return _load(game, _offered()[game])
-    raise ValueError(f"unknown game {game!r}; there are: {', '.join(names())}")
+    raise ValueError(f"unknown game {shown(game)}; there are: {', '.join(names())}")
 
 
 def survey(describe: Callable[[Game], Any]) -> tuple[dict[str, Any], dict[str, str]]:

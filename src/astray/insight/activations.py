@@ -27,7 +27,7 @@ from torch import Tensor
 from astray import world
 from astray.analysis.critic import observe
 from astray.analysis.evaluate import Measure, check_measures, measured
-from astray.analysis.tables import write_table
+from astray.analysis.tables import read_table, write_table
 from astray.analysis.trained import Model, check_network
 from astray.envs.states import BROKEN, arrays_of
 from astray.files import check_readable, folder_aside, read, write_aside
@@ -293,4 +293,4 @@ def _load_folder(path: Path) -> Activations:
             raise ValueError(f"its layer {shown(name)} is in another folder")
         check_readable(path / file)
         values[name] = np.load(path / file, mmap_mode="r", allow_pickle=False)
-    return Activations(values, pl.read_parquet(io.BytesIO(read(path / LABELS))))
+    return Activations(values, read_table(path / LABELS))
