@@ -40,6 +40,7 @@ SECTION = re.compile(
 CONTENTS = re.compile(r'(<nav class="md-nav") aria-label="[^"]*">')
 SEARCH = 'data-md-component="search" role="dialog"'
 PLAIN_TABLE = re.compile(r"<table>(?=(?:(?!</table>|<a\b).)*</table>)", re.DOTALL)
+PICTURE_ALONE = re.compile(r'<p>(?=<img [^>]*src="(?:figure-|lab-|first-|outcomes)[^>]*></p>)')
 DATE = re.compile(r"<td>(?=\d{4}-\d\d-\d\d</td>)")
 CODE = re.compile(r"<code\b.*?</code>", re.DOTALL)
 # An option, a name with dashes or an extra, in a text and not in a tag.
@@ -68,9 +69,9 @@ def on_post_template(output: str, *, template_name: str, config: MkDocsConfig) -
 def accessible(output: str) -> str:
     """Return a page of the theme whose search and sections have names.
 
-    No landmark has another's name, no header of a table is empty, and tables without links can be
-    reached, to be scrolled. No line ends within an option, a name with dashes in code, a date in a
-    table, or before a percent sign.
+    No landmark has another's name, no header of a table is empty, and figures and tables without
+    links can be reached, to be scrolled. No line ends within an option, a name with dashes in code,
+    a date in a table, or before a percent sign.
     """
     output = CODE.sub(
         lambda m: WHOLE.sub(r'<span class="whole">\g<0></span>', m[0]), report.with_percent(output)
@@ -78,6 +79,7 @@ def accessible(output: str) -> str:
     output = DATE.sub('<td class="whole">', output)
     output = SECTION.sub(r'\1aria-label="\2"', output).replace("<th></th>", "<td></td>")
     output = CONTENTS.sub(r'\1 role="presentation">', output)
+    output = PICTURE_ALONE.sub('<p class="picture" tabindex="0">', output)
     return PLAIN_TABLE.sub('<table tabindex="0">', output).replace(
         SEARCH, f'{SEARCH} aria-label="search"'
     )

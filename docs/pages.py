@@ -251,9 +251,8 @@ def knob_rows(kind: type[Variant]) -> Iterator[tuple[str, ...]]:
         if field.name in hints:
             said = next(filter(None, (comment(owner, field.name) for owner in kind.__mro__)), "")
             default = "" if field.default is MISSING else code(field.default)
-            choices = getattr(hints[field.name], "__args__", None)
-            named = getattr(field.type, "__name__", field.type)
-            shown = " ".join(map(code, choices or [named]))
+            hint = hints[field.name]  # without its bounds
+            shown = " ".join(map(code, getattr(hint, "__args__", [hint.__name__])))
             yield code(field.name), shown, default, said
 
 

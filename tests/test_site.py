@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from helpers.browsed import folder_served, violations
+from helpers.browsed import folder_served, violations, wait
 
 ROOT = Path(__file__).parents[1]
-WRITTEN = ("published",)  # which has a wide table, and one with an empty header
+# A page with a figure; one with a wide table, and one with an empty header.
+WRITTEN = ("insight", "published")
 REFERENCE = (
     "# api\n## one\n### same\n#### a\n## two\n### same\n#### b\n\n```pycon\n>>> 100\n100\n```\n"
 )
@@ -33,8 +34,8 @@ def site(tmp_path_factory):
         docs = folder / "docs"
         docs.mkdir()
         (docs / "index.md").write_text(pages.with_lab(pages.from_root("README.md")))
-        for name in (*(f"{name}.md" for name in WRITTEN), "style.css"):
-            (docs / name).write_text((ROOT / "docs" / name).read_text())
+        for name in (*(f"{name}.md" for name in WRITTEN), "style.css", "figure-insight.png"):
+            (docs / name).write_bytes((ROOT / "docs" / name).read_bytes())
         for name in SECTIONS:
             (docs / name).mkdir()
             (docs / name / "index.md").write_text(REFERENCE)
@@ -72,7 +73,8 @@ def test_the_page_for_what_is_not_there_leads_back(site):
 
 
 @pytest.mark.parametrize(
-    "page, width", [("index", 1400), ("published", 1400), ("404", 420), ("api/index", 1400)]
+    "page, width",
+    [("index", 1400), ("published", 1400), ("insight", 420), ("404", 420), ("api/index", 1400)],
 )
 def test_axe_finds_nothing_on_a_page_of_the_site(page, width, site, chrome):
     context = chrome.new_context(viewport={"width": width, "height": 900})
@@ -109,6 +111,22 @@ def test_no_line_ends_within_an_option_or_a_name_with_dashes(site, chrome):
     shown.goto((site / "published.html").as_uri())
     assert shown.evaluate(BROKEN, [*range(300, 421, 10)]) == []
     assert "91.6\u00a0%" in shown.inner_text("main"), "nor before a percent sign"
+    context.close()
+
+
+SHADES = """(one) => ["::before", "::after"].map((side) => getComputedStyle(one, side).opacity)"""
+
+
+def test_a_figure_that_a_phone_cuts_has_a_shade_where_there_is_more(site, chrome):
+    context = chrome.new_context(viewport={"width": 1400, "height": 900})
+    shown = context.new_page()
+    shown.goto((site / "insight.html").as_uri())
+    figure = shown.locator(".picture")
+    assert figure.evaluate(SHADES) == ["0", "0"]
+    shown.set_viewport_size({"width": 420, "height": 900})
+    wait(shown, f"String(({SHADES})(document.querySelector('.picture'))) === '0,1'")
+    figure.evaluate("(one) => { one.scrollLeft = one.scrollWidth; }")
+    wait(shown, f"String(({SHADES})(document.querySelector('.picture'))) === '1,0'")
     context.close()
 
 
