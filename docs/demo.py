@@ -1,6 +1,6 @@
 """Record the mouse of the first page, in training and in a test: python docs/demo.py.
 
-Its training had no level of this number. The frame is dark, so that it fits pages of both kinds.
+Its training had no level of this number.
 """
 
 from pathlib import Path
@@ -9,7 +9,6 @@ import astray
 from astray.analysis import video
 
 LEVEL, LONGEST, PIXELS, FPS = 100_055, 16, 288, 4
-DARK, LIGHT = (27, 32, 40), (235, 237, 240)
 MAZES = {"corner-small": "in training", "anywhere-small": "in a test"}
 
 
@@ -18,7 +17,7 @@ def main() -> None:
     mouse = astray.load_agent("maze-corner")
     how = {"pixels": PIXELS, "longest": LONGEST}
     mazes = [video.play(mouse, "maze", maze, LEVEL, **how).frames for maze in MAZES]
-    frames = video.beside(*mazes, captions=[*MAZES.values()], background=DARK, ink=LIGHT)
+    frames = video.beside(*mazes, captions=[*MAZES.values()])
     held = [*range(len(frames)), *[len(frames) - 1] * (2 * FPS)]  # two seconds at the end
     video.write_gif(frames[held], Path(__file__).parent / "maze-corner.gif", FPS)
 

@@ -154,11 +154,10 @@ def test_the_shorter_video_holds_its_last_frame(frames):
     assert not np.array_equal(captions[1], captions[2])
 
 
-def test_captions_have_the_colours_that_are_given(frames):
-    dark, light = (27, 32, 40), (235, 237, 240)
-    one = video.beside(frames[:1], captions=["a"], gap=4, background=dark, ink=light)[0]
-    assert (one[-1] == dark).all() and (one[0, 0] == dark).all()
-    assert (one[: -H - 4] == light).all(-1).any(), "the letter"
+def test_the_frame_around_a_video_is_dark_as_on_dark_pages_and_its_captions_are_light(frames):
+    one = video.beside(frames[:1], captions=["a"], gap=4)[0]
+    assert one[-1].max() < 64 and one[0, 0].max() < 64
+    assert (one[: -H - 4] > 200).all(-1).any(), "the letter"
 
 
 def test_the_interval_is_drawn_where_the_rate_is(tmp_path):

@@ -21,7 +21,7 @@ from astray.level import Level
 from astray.validation import bounded, of_kind
 from astray.world import World, WorldVariant
 
-BACKGROUND, INK = (247, 247, 245), (34, 34, 34)
+BACKGROUND, INK = (27, 32, 40), (235, 237, 240)  # dark, to fit light and dark pages
 CAPTION = 17  # pixels, the size of its letters
 LINE = 24  # pixels from a line of a caption to the next
 FASTEST = 100  # frames a second: GIFs count hundredths
@@ -29,7 +29,6 @@ LARGEST = 2**32  # bytes of an episode's frames
 FPS = 15  # frames, and so steps of an episode, a second
 
 Caption = str | Callable[[int], str]  # or a function of the step
-Colour = tuple[int, int, int]  # red, green, blue
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,10 +133,7 @@ def _joined(parts: Sequence[Any]) -> Any:
     return np.concatenate(parts)
 
 
-def beside(
-    *videos: np.ndarray, captions: Sequence[Caption], gap: int = 12,
-    background: Colour = BACKGROUND, ink: Colour = INK,
-) -> np.ndarray:  # fmt: skip
+def beside(*videos: np.ndarray, captions: Sequence[Caption], gap: int = 12) -> np.ndarray:
     """Join videos side by side with captions; shorter ones hold their last frame.
 
     Captions are above the videos, because players put their controls at the bottom.
@@ -146,7 +142,6 @@ def beside(
         videos: Each [T, H, W, 3] uint8, of any length and size.
         captions: For each video a text, or a function from frame number to text.
         gap: Pixels between the videos and around them.
-        background: Colour around the videos; `ink` is that of the captions.
 
     Returns:
         [T, H, W, 3] uint8, with T of the longest video.
@@ -165,15 +160,13 @@ def beside(
     width = gap + sum(video.shape[2] + gap for video in videos)
     strip = gap // 2 + lines * LINE
     top = strip + gap // 4
-    canvas = np.full((frames, top + tallest + gap, width, 3), background, np.uint8)
+    canvas = np.full((frames, top + tallest + gap, width, 3), BACKGROUND, np.uint8)
     left = gap
     for video, column in zip(videos, texts, strict=True):
         here = slice(left, left + video.shape[2])
         held = np.minimum(np.arange(frames), len(video) - 1)
         canvas[:, top : top + video.shape[1], here] = video[held]
-        strips = {
-            text: _strip(text, video.shape[2], strip, background, ink) for text in set(column)
-        }
+        strips = {text: _strip(text, video.shape[2], strip) for text in set(column)}
         canvas[:, :strip, here] = [strips[column[k]] for k in held]
         left += video.shape[2] + gap
     return canvas
@@ -193,15 +186,13 @@ def _wrapped(text: str, width: int) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _strip(
-    lines: Sequence[str], width: int, height: int, background: Colour, ink: Colour
-) -> np.ndarray:
-    """Draw text on a background, [height, width, 3] uint8."""
-    image = Image.new("RGB", (width, height), background)
+def _strip(lines: Sequence[str], width: int, height: int) -> np.ndarray:
+    """Draw text, [height, width, 3] uint8."""
+    image = Image.new("RGB", (width, height), BACKGROUND)
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(CAPTION)
     first = height - len(lines) * LINE  # the last line lies on the video
     for k, line in enumerate(lines):  # at the left, so that numbers that change do not shake it
-        draw.text((0, first + (k + 0.5) * LINE), line, ink, font, anchor="lm")
+        draw.text((0, first + (k + 0.5) * LINE), line, INK, font, anchor="lm")
     return np.array(image)
 
 
