@@ -178,6 +178,8 @@ def test_the_object_of_the_goal_leads_and_panels_of_agents_need_one(chrome, serv
         told = page.locator("[data-lab=lead]").text_content().strip()
         assert told == "Drag the bin. The arrows are what the robot would do."
         assert page.locator("[data-lab=thing]").input_value().startswith("bin@")
+        wait(page, "lab.goalless")  # at once, as no walk would show it
+        assert "no goal is reached" in page.locator("[data-lab=verdict]").text_content()
         page.locator("[data-lab=sight] summary").click()
         assert page.locator("[data-lab=probing]").is_hidden()  # it has nothing for them to read
 
@@ -358,6 +360,19 @@ def test_two_policies_are_compared_by_what_their_actions_do(chrome, request, way
           return lab.part("comparison").textContent;
         }"""
         assert "compared with. It remembers. Policies" in page.evaluate(forgets)
+
+
+def test_the_text_of_a_level_is_scrolled_to_its_agent(page):
+    rows = ["." * 60] * 20 + ["." * 40 + "@" + "." * 19] + ["." * 60] * 9
+    box = page.locator("[data-lab=text]")
+    box.evaluate("(one, text) => { one.value = text; }", "\n".join(rows))  # of a large level
+    page.get_by_text("Take it along").click()
+    wait(page, "lab.part('text').scrollTop")
+    x, y, wide, high = box.evaluate(
+        "(one) => [one.scrollLeft, one.scrollTop, one.clientWidth, one.clientHeight]"
+    )
+    assert 0 < x < box.evaluate("(one) => one.scrollWidth") * 40 / 60 < x + wide
+    assert 0 < y < box.evaluate("(one) => one.scrollHeight") * 20.5 / 30 < y + high
 
 
 def test_text_is_read_and_what_is_wrong_with_it_is_told(page):

@@ -308,10 +308,11 @@ export class Lab {
 
   async #pursue() {
     this.goals = this.goalless = null;
-    if (this.episode.actions.length && this.agent && !this.rules.real_time && this.rules.solver) {
+    if (this.agent && !this.rules.real_time && this.rules.solver) {
       const question = this.question("posterior", { actions: this.episode.actions });
       try {
-        this.goals = (await this.engine.ask(question)) ?? this.goals;
+        const found = await this.engine.ask(question); // before a step only whether it can be told
+        if (this.episode.actions.length) this.goals = found ?? this.goals;
       } catch (error) {
         this.goalless = error.message;
       }

@@ -68,6 +68,7 @@ export class Panels {
     hear("unroute", "click", () => { lab.way = null; this.routed(); lab.stage.redraw(); });
     hear("sight", "toggle", () => this.look());
     hear("method", "change", () => this.look());
+    hear("taken", "toggle", () => this.#toAgent());
     for (const name of ["timeline", "posterior"]) {
       hear(name, "click", (event) => lab.go(stepAt(event.target, event.offsetX, this.last)));
     }
@@ -232,10 +233,19 @@ export class Panels {
     part("redo").disabled = !lab.future.length;
     part("restore").disabled = !lab.past.length;
     if (document.activeElement !== part("text")) part("text").value = lab.text ?? "";
+    this.#toAgent();
     this.#things();
     this.#goals();
     this.#unsplay();
     this.routed();
+  }
+
+  // Scroll the level as text to its agent.
+  #toAgent() {
+    const field = this.part("text");
+    const [rows, above] = [field.value.split("\n"), field.value.split("@")[0].split("\n")];
+    const [x, y] = [(above.at(-1).length + 0.5) / rows[0].length, (above.length - 0.5) / rows.length];
+    field.scrollTo(x * field.scrollWidth - field.clientWidth / 2, y * field.scrollHeight - field.clientHeight / 2);
   }
 
   // The objects whose places may all be played, each that there are several of by its cell; and
