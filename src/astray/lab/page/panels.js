@@ -47,8 +47,7 @@ export class Panels {
     hear("once", "click", () => lab.step());
     hear("hand", "click", () => lab.handOver());
     hear("rewind", "click", () => lab.go(0));
-    hear("back", "click", () => lab.go(lab.now - 1));
-    hear("forth", "click", () => lab.go(lab.now + 1));
+    for (const [name, by] of [["back", -1], ["forth", 1]]) hear(name, "click", () => lab.go(lab.now + by));
     hear("scrub", "input", () => lab.show(Number(part("scrub").value)));
     hear("scrub", "change", () => lab.go(Number(part("scrub").value)));
     for (const name of ["mode", "seed", "steered"]) hear(name, "change", () => lab.refresh());
