@@ -130,6 +130,30 @@ def test_a_figure_that_a_phone_cuts_has_a_shade_where_there_is_more(site, chrome
     context.close()
 
 
+# What has the focus, and whether it is seen, with a line around it.
+FOCUSED = """() => {
+  const { activeElement: at } = document;
+  const one = at.matches(".md-option") ? at.nextElementSibling : at;
+  const { left, top, width, height } = one.getBoundingClientRect();
+  const there = document.elementFromPoint(left + width / 2, top + height / 2);
+  const seen = getComputedStyle(one).outlineStyle !== "none" && one.contains(there);
+  return at.closest(".md-content") ? null : [at.textContent.trim() || at.tagName, seen];
+}"""
+
+
+def test_on_a_phone_keys_open_the_drawer_for_its_links(site, chrome):
+    context = chrome.new_context(viewport={"width": 420, "height": 900})
+    shown = context.new_page()
+    shown.goto((site / "published.html").as_uri())
+    shown.add_style_tag(content="* { transition: none !important; }")
+    found = []
+    while shown.keyboard.press("Tab") or (one := shown.evaluate(FOCUSED)):
+        found.append(one)
+    assert len(found) > 6 and [name for name, seen in found if not seen] == []
+    assert shown.locator(".md-sidebar--primary").bounding_box()["x"] < 0, "closed again"
+    context.close()
+
+
 def test_a_header_without_words_has_no_border(site, chrome):
     context = chrome.new_context()
     shown = context.new_page()
