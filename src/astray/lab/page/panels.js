@@ -39,15 +39,13 @@ export class Panels {
     hear("agent", "change", () => this.#agent(part("agent").value));
     hear("variant", "change", () => this.#variant(part("variant").value));
     hear("number", "change", () => lab.open(this.#number()));
-    hear("previous", "click", () => this.#to(Math.max(this.#number() - 1, 0)));
-    hear("next", "click", () => this.#to(this.#number() + 1));
+    for (const [name, by] of [["previous", -1], ["next", 1]]) hear(name, "click", () => this.#to(Math.max(this.#number() + by, 0)));
     hear("theme", "click", () => this.#theme());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.redraw());
     for (const name of ["undo", "redo", "restore"]) hear(name, "click", () => lab[name]());
     hear("once", "click", () => lab.step());
     hear("hand", "click", () => lab.handOver());
-    hear("rewind", "click", () => lab.go(0));
-    for (const [name, by] of [["back", -1], ["forth", 1]]) hear(name, "click", () => lab.go(lab.now + by));
+    for (const [name, by] of [["rewind", -Infinity], ["back", -1], ["forth", 1]]) hear(name, "click", () => lab.go(lab.now + by));
     hear("scrub", "input", () => lab.show(Number(part("scrub").value)));
     hear("scrub", "change", () => lab.go(Number(part("scrub").value)));
     for (const name of ["mode", "seed", "steered"]) hear(name, "change", () => lab.refresh());
