@@ -12,6 +12,7 @@ from typing import Any
 
 from astray.validation import shown
 
+LONG = 10.0  # seconds of an import after which it is told, as it may never end
 NAME = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
 
 
@@ -99,11 +100,17 @@ def find(name: str) -> Any:
     if not is_name(name):
         raise ValueError(f"{name!r} must be a module and what is in it; as module:attribute")
     module = name.partition(":")[0]
+    told = f"astray: the module {module!r} is still being imported after {LONG:g} seconds"
+    waits = threading.Timer(LONG, lambda: print(told, file=sys.stderr, flush=True))
+    waits.daemon = True
+    waits.start()
     try:
         with guarded(f"the module {module!r}", ImportError, AttributeError):
             return _attribute(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:
         raise ValueError(f"{name!r} must be a module and what is in it; {error}") from error
+    finally:
+        waits.cancel()
 
 
 def find_each(names: Sequence[str]) -> dict[str, Any]:

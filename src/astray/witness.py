@@ -12,12 +12,11 @@ import numpy as np
 
 from astray.record import NEVER
 from astray.validation import one_of, shown
-from astray.world import Env, Happened, World, WorldVariant
+from astray.world import FAILURES, Env, Happened, World, WorldVariant
 
 NOTED = "astray"  # key of info that reports events and measures
 BOOLEANS = (bool, np.bool_)
 NO = np.False_  # a single object, what comparisons of numpy's numbers return
-FAILURES = (Exception, SystemExit)  # of an environment
 Asked = Callable[[Any, Mapping[str, Any]], Any]  # (environment, info) -> whether an event happens
 
 
@@ -111,7 +110,7 @@ class Witness(gymnasium.Wrapper):
         one_of("goal of an expert", goal, self.world.experts, of=self.world.name)
         try:
             return self.world.experts[goal](self._inner)
-        except Exception as error:
+        except FAILURES as error:
             raise self._failed(f"expert of {goal!r}", error) from error
 
     def _happens(self, info: Mapping[str, Any]) -> bool:
@@ -124,7 +123,7 @@ class Witness(gymnasium.Wrapper):
                 is_now = happened(inner, info)
                 if is_now is not False and is_now is not NO:
                     told.append((name, is_now))
-        except Exception as error:
+        except FAILURES as error:
             raise self._failed(f"event {name!r}", error) from error
         new = False
         for name, is_now in told:
@@ -141,7 +140,7 @@ class Witness(gymnasium.Wrapper):
         for name, measure in self.world.measures.items():
             try:
                 told.append(float(measure(self._inner)))
-            except Exception as error:
+            except FAILURES as error:
                 raise self._failed(f"measure {name!r}", error) from error
         return np.array(told, np.float64)
 
@@ -170,7 +169,7 @@ class Witness(gymnasium.Wrapper):
             raise ValueError(f"{self._where()}: its info must be a dictionary; got {shown(info)}")
 
     def _failed(self, doing: str, error: BaseException) -> ValueError:
-        return ValueError(f"{self._where()}: its {doing} fails: {error!r:.300}")
+        return ValueError(f"{self._where()}: its {doing} fails: {shown(error, 300)}")
 
     def _where(self) -> str:
         return f"{self.variant}, level {self.level}, step {self.time}"

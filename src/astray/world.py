@@ -19,6 +19,7 @@ from astray.validation import brief, finite, of_kind, one_of, shown
 
 Env = gymnasium.Env
 Happened = str | Callable[[Any, Mapping[str, Any]], Any]
+FAILURES = (Exception, SystemExit)  # of a world's code
 GROUP = "astray.worlds"  # of entry points
 SEEN = "observation"  # field of states that holds what an environment showed in them
 NOT_OURS = {f.name for f in fields(Game)}  # names of a game, some of which a world has
@@ -68,8 +69,9 @@ class WorldVariant:
         """
         try:
             made = self.factory(**self.knobs)
-        except Exception as error:
-            raise ValueError(f"the factory of {self} fails: {brief(error)}") from error
+        except FAILURES as error:
+            told = shown(error) if isinstance(error, SystemExit) else brief(error)
+            raise ValueError(f"the factory of {self} fails: {told}") from error
         of_kind(f"the environment that the factory of {self} returns", made, Env)
         for name in ("observation_space", "action_space"):
             of_kind(f"the {name} of {self}", getattr(made, name, None), gymnasium.Space)

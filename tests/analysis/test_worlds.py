@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -16,6 +17,7 @@ import polars as pl
 import pytest
 
 from astray import acting, games
+from astray.analysis import video
 from astray.analysis.adapters import Function, from_sb3
 from astray.analysis.dataset import export, read_trajectories, trajectories
 from astray.analysis.evaluate import evaluate
@@ -113,6 +115,25 @@ def test_chance_takes_any_actions_and_none_depends_on_the_batch():
     assert one.equals(two) and one["walked"].n_unique() > 1
 
 
+class Nameless(Exception):
+    def __repr__(self):
+        raise self
+
+
+def nameless(env):
+    raise Nameless
+
+
+def test_an_image_without_pixels_is_refused():
+    class Empty(Room):
+        def render(self):
+            return np.zeros((0, 0, 3), np.uint8)
+
+    variants = {v: partial(Empty, render_mode="rgb_array") for v in WORLD.variants}
+    with pytest.raises(ValueError, match=r"must render images .* of shape \(0, 0, 3\)"):
+        video.play(RIGHT, replace(WORLD, variants=variants), "end", 0)
+
+
 def test_knobs_are_arguments_of_the_factory():
     told = evaluate(RIGHT, WORLD, WORLD.variant("end").with_knobs({"place": "anywhere"}), LEVELS)
     assert told["reached_square"].null_count() > 0
@@ -132,6 +153,13 @@ def test_knobs_are_arguments_of_the_factory():
          "the factory of room anywhere fails: division by zero"),
         (replace(WORLD, variants={"end": Room, "anywhere": lambda: 3}), RIGHT,
          "the factory of room anywhere returns must be a Env; got 3"),
+        (replace(WORLD, variants=dict.fromkeys(WORLD.variants, sys.exit)), RIGHT,
+         r"the factory of room anywhere fails: SystemExit\(\)"),
+        (replace(WORLD, experts={"end": sys.exit}), RIGHT, "expert of 'end' fails: SystemExit"),
+        (replace(WORLD, measures={"walked": sys.exit}), RIGHT, "'walked' fails: SystemExit"),
+        (replace(WORLD, measures={"walked": nameless}), RIGHT, "fails: <Nameless instance at"),
+        (troubled("none", events={**WORLD.events, "reached_end": lambda *_: sys.exit(0)}), RIGHT,
+         r"its event 'reached_end' fails: SystemExit\(0\)"),
         (troubled("no info"), RIGHT, "level 3, step 1: its info must be a dictionary; got None"),
         (troubled("stuck"), RIGHT, r"its close fails: OSError\('busy'\)"),
         (troubled("exits"), RIGHT, r"step 3: its step fails: SystemExit\(3\)"),

@@ -97,7 +97,7 @@ class WorldVectorEnv:
             ValueError: If an environment renders anything else.
         """
         images = np.asarray(self._ask("call", "render"))
-        if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3:
+        if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3 or not images.size:
             raise ValueError(
                 f"environments of {self.variant} must render images [H, W, 3] uint8; got "
                 f"{images.dtype} of shape {images.shape[1:]}"
