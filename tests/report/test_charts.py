@@ -4,13 +4,14 @@ import numpy as np
 import polars as pl
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.figures import charts
 from astray.figures.axes import call_places
 from astray.figures.grids import FADED, SIGNS, Picture, cells, images
-from astray.figures.style import INK, OTHERS, save
+from astray.figures.style import DARK, INK, OTHERS, PAGE, save
 
 VALUES = pl.DataFrame(
     {
@@ -113,6 +114,8 @@ def test_labels_of_lines_that_lie_close_stand_side_by_side():
     call_places(shown, {"a": 50, "b": 50, "c": 51, "d": 80})
     at = {text.get_text(): text.xy[0] for text in shown.texts}
     assert at["d"] == 80 and at["c"] == 51 and at["c"] - at["a"] > 2 < at["a"] - at["b"]
+    grounds = {to_hex(text.get_bbox_patch().get_facecolor()) for text in shown.texts}
+    assert grounds == {PAGE} <= {*DARK}, "they hide curves, in the dark too"
 
 
 def test_a_part_of_a_value_has_the_colour_of_its_sign_and_is_clear_at_0():

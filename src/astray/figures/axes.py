@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
-from astray.figures.style import INK, OTHERS, WIDTH
+from astray.figures.style import INK, OTHERS, PAGE, WIDTH
 from astray.outcome import FAILED, INTENDED, MISGENERALIZED
 
 # Told apart by every kind of colour vision, and light enough to be written on.
@@ -73,7 +73,7 @@ def write_legend(figure: Figure, **look: Any) -> None:
 
 
 def call_places(axes: Axes, at: Mapping[str, float]) -> None:
-    """Label lines at given positions along them, none of the labels over another."""
+    """Label lines at given positions along them, no label over another or behind a curve."""
     low, high = axes.get_xlim()
     line = 0.025 * (high - low)  # a little more than the height of the text
     there = high + line
@@ -82,7 +82,8 @@ def call_places(axes: Axes, at: Mapping[str, float]) -> None:
         there = place if near else min(place, there - line)
         axes.annotate(name, (there, 1.0), (3 if near else -3, -2), ha="left" if near else "right",
                       va="top", xycoords=("data", "axes fraction"), textcoords="offset points",
-                      fontsize=8.5, rotation=90)  # fmt: skip
+                      fontsize=8.5, rotation=90,
+                      bbox={"fc": PAGE, "ec": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
 
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:

@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from astray.files import write_aside
 
 OTHERS = ("#2e6db4", "#b5446e", "#6b5b95", "#8a6d1f")  # of what is not an outcome
-INK, FAINT, EMPTY = "#222222", "#dddddd", "#eeeeec"  # EMPTY: where a picture shows nothing
+PAGE, INK, FAINT, EMPTY = "#fcfcfa", "#222222", "#dddddd", "#eeeeec"  # EMPTY: nothing is shown
 ON_COLOUR = "black"  # of what is written on a colour, which is light in the dark, too
 # Colours of figures on dark pages.
 DARK = dict(
     zip(
-        (INK, FAINT, EMPTY, *OTHERS),
-        ("#e6e7e2", "#3a3c38", "#2b2d2a", "#6fa8ea", "#e27ba2", "#a897db", "#c9a94f"),
+        (INK, FAINT, PAGE, EMPTY, *OTHERS),
+        ("#e6e7e2", "#3a3c38", "#1a1b1a", "#2b2d2a", "#6fa8ea", "#e27ba2", "#a897db", "#c9a94f"),
         strict=True,
     )
 )
