@@ -111,9 +111,12 @@ def test_a_name_is_written_as_it_is_given(tmp_path):
 def test_labels_of_lines_that_lie_close_stand_side_by_side():
     shown = Figure().subplots()
     shown.set_xlim(0, 100)
-    call_places(shown, {"a": 50, "b": 50, "c": 51, "d": 80})
+    call_places(shown, {"a": 50, "b": 50, "c": 51, "d": 80, "first": 2, "next": 2, "third": 7})
     at = {text.get_text(): text.xy[0] for text in shown.texts}
     assert at["d"] == 80 and at["c"] == 51 and at["c"] - at["a"] > 2 < at["a"] - at["b"]
+    side = {text.get_text(): text.get_ha() for text in shown.texts}
+    begin = sorted(at[name] - 2.5 * (side[name] == "right") for name in at)
+    assert begin[0] == 2 and min(np.diff(begin)) > 2, "also beside the axis"
     grounds = {to_hex(text.get_bbox_patch().get_facecolor()) for text in shown.texts}
     assert grounds == {PAGE} <= {*DARK}, "they hide curves, in the dark too"
 

@@ -76,11 +76,16 @@ def call_places(axes: Axes, at: Mapping[str, float]) -> None:
     """Label lines at given positions along them, no label over another or behind a curve."""
     low, high = axes.get_xlim()
     line = 0.025 * (high - low)  # a little more than the height of the text
-    there = high + line
+    there, before = high + line, []
     for name, place in sorted(at.items(), key=lambda one: -one[1]):
-        near = place - low < 0.06 * (high - low)  # to the axis, which it stands beside
-        there = place if near else min(place, there - line)
-        axes.annotate(name, (there, 1.0), (3 if near else -3, -2), ha="left" if near else "right",
+        there = min(place, there - line)
+        before.append((there, place, name))
+    taken = low
+    for there, place, name in reversed(before):
+        near = there - line < max(taken, low + 1.4 * line)  # to the axis, or what stands there
+        x = max(place, taken) if near else there
+        taken = x + line * near
+        axes.annotate(name, (x, 1.0), (3 if near else -3, -2), ha="left" if near else "right",
                       va="top", xycoords=("data", "axes fraction"), textcoords="offset points",
                       fontsize=8.5, rotation=90,
                       bbox={"fc": PAGE, "ec": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
