@@ -216,3 +216,15 @@ def test_commands_of_pages_can_be_pasted_into_any_shell(page):
     lines = [line for block in blocks for line in block.splitlines()]
     lines += re.findall(r"`((?:astray|pip|python) [^`]*)`", text)
     assert not [line for line in lines if re.search(r"['$]|#|\\$", line)]
+
+
+@pytest.mark.parametrize(
+    "verb, option",
+    [(verb, f"--{option}") for verb in ("evaluate", "agency", "compare", "export", "explain")
+     for option in ("levels", "variant", "shift", "layers")
+     if option in verbs.find(verb).__annotations__ or option in ("variant", "shift")
+     if (verb, option) != ("export", "shift")],
+)  # fmt: skip
+def test_an_empty_word_is_no_default(verb, option, astray):
+    told = astray(verb, "maze-corner", *["random"] * (verb == "compare"), option, "", fails=True)
+    assert re.search("levels must be numbers and ranges|unknown (variant|shift|layer) ''", told)

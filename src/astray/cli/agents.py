@@ -137,7 +137,7 @@ def evaluate(
 
     bounded("batch", batch, 1, MOST)
     played = None
-    if levels:
+    if levels is not None:
         # os.path: many numbers are too long for the name of a file, and pathlib says so
         played = Path(levels) if os.path.exists(levels) else level_numbers(levels)
     if out:
@@ -241,7 +241,7 @@ def agency(
         check_writable(out / SUMMARY)
     policy, rules, _, variant, shift, config = player.open()
     unseen = config.unseen_levels if config else range(SOME)
-    chosen = level_numbers(levels) if levels else unseen[:SOME]
+    chosen = unseen[:SOME] if levels is None else level_numbers(levels)
     assessed, recorded = assess_policy(policy, rules, variant, shift, chosen, measure)
     if out:
         _write_assessment(assessed, recorded(), out)

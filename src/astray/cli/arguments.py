@@ -130,7 +130,7 @@ class OwnPolicy:
         """Return the policy's game or world; raise ValueError unless exactly one is given."""
         if (self.game is None) == (self.world is None):
             raise ValueError("--policy needs either --game or --world")
-        return games.find(self.game) if self.game else self.named()
+        return self.named() if self.game is None else games.find(self.game)
 
     def check_game(self, verb: str) -> None:
         """Raise ValueError for a world, whose environments cannot be set to a state."""
@@ -220,8 +220,8 @@ class Player:
         """
         needs = {"--variant": self.variant}
         player, rules, config = self.policy.open(self.agent, self.acting, needs)
-        made = played(rules, self.variant or config.variant, self.knobs, config)  # pyright: ignore
-        return player, rules, made, config
+        of = config.variant if self.variant is None else self.variant  # pyright: ignore
+        return player, rules, played(rules, of, self.knobs, config), config
 
 
 def played(rules: Any, variant: str, knobs: Words, config: Config | None = None) -> Any:
@@ -273,8 +273,8 @@ class TestedPlayer:
         tested = self.tested
         needs = {"--shift": tested.shift}
         player, rules, config = self.policy.open(self.agent, tested.acting, needs)
-        shift = tested.shift or shift_of(config)  # pyright: ignore[reportArgumentType]
-        name = tested.variant or load_shift(rules, shift).test
+        shift = shift_of(config) if tested.shift is None else tested.shift  # pyright: ignore[reportArgumentType]
+        name = load_shift(rules, shift).test if tested.variant is None else tested.variant
         return player, rules, name, played(rules, name, tested.knobs, config), shift, config
 
 

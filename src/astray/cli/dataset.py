@@ -38,5 +38,5 @@ def export(
     bounded("batch", batch, 1, MOST)
     policy, game, variant, config = player.open()
     first = config.unseen_levels.start if config else 0
-    numbers = level_numbers(levels or f"{first}:{first + 1000}")
+    numbers = level_numbers(f"{first}:{first + 1000}" if levels is None else levels)
     print(write(policy, game, variant, numbers, out, form=form, batch=batch, longest=longest))

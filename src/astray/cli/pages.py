@@ -70,7 +70,7 @@ def explain(
     player.policy.check_game("explain")
     policy, game, name, levels, named, config = player.open()
     agent = looked_into(policy, game)
-    reads = tuple(layers.split(",")) if layers else default_layers(agent)
+    reads = default_layers(agent) if layers is None else tuple(layers.split(","))
     if reads:
         check_layers(agent, reads)  # pyright: ignore[reportArgumentType]
     check_free(out, PAGE, SIGN, written(game))
@@ -185,7 +185,7 @@ def compare(
             one_of("agent or policy", name, [*names(), "random", "walk:GOAL", "module:name"])
     opened = {name: tested.acting.open(Path(name)) for name in agents if not _is_policy(name)}
     configs = [config for _, config in opened.values()]
-    found = {config.find_game().name for config in configs} | ({game} if game else set())
+    found = {config.find_game().name for config in configs} | (set() if game is None else {game})
     if len(found) > 1:
         raise ValueError(f"agents must play one game; got {', '.join(sorted(found))}")
     if len({str(config.knobs) for config in configs}) > 1:
@@ -197,11 +197,11 @@ def compare(
     rules = config.find_game() if config else own.rules()
     if tested.shift is None and config is None:
         raise ValueError("policies need --shift: which goal is intended, and which are proxies")
-    shift = tested.shift or shift_of(config)  # pyright: ignore[reportArgumentType]
-    name = tested.variant or load_shift(rules, shift).test
+    shift = shift_of(config) if tested.shift is None else tested.shift  # pyright: ignore[reportArgumentType]
+    name = load_shift(rules, shift).test if tested.variant is None else tested.variant
     variant = played(rules, name, tested.knobs, config)
     first = max((config.unseen_levels.start for config in configs), default=0)
-    numbers = level_numbers(levels or f"{first}:{first + SOME}")
+    numbers = level_numbers(f"{first}:{first + SOME}" if levels is None else levels)
     policies = [
         opened[one][0] if one in opened else OwnPolicy(policy=one).make(tested.acting)
         for one in agents

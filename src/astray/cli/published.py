@@ -146,7 +146,7 @@ def _check(name: str, levels: str | None, json: bool) -> None:
     if name not in folders.imported():
         raise ValueError(f"{name!r} comes with astray; its card has what was measured: {run}")
     entry = by_digest(folders.AgentFolder.open(run).origin()["sha256"])
-    chosen = level_numbers(levels) if levels else None
+    chosen = None if levels is None else level_numbers(levels)
     published = entry.checks if entry else ()
     rows = check(run, published, chosen) if published else check_unmeasured(run, chosen)
     write_checks(run, rows)
