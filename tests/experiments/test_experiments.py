@@ -314,7 +314,7 @@ if __name__ == "__main__":  # which a training's process does not do again
     main()
 """
 REPRODUCE = """
-import pathlib, sys
+import os, pathlib, sys, time
 from dataclasses import replace
 from helpers.miniature import miniature
 from astray.experiments import catalogue, run, videos
@@ -322,6 +322,9 @@ videos.RECORDED = 2
 whole = catalogue.load("maze-corner")
 small = replace(whole, sizes={"smoke": miniature(whole.sizes["smoke"])})
 catalogue.load = lambda _: small
+pathlib.Path(f"begun-{os.getpid()}").touch()
+while len(list(pathlib.Path().glob("begun-*"))) < 2:  # else one may end before the other begins
+    time.sleep(0.01)
 run.reproduce("maze-corner", "smoke", pathlib.Path(sys.argv[1]), workers=1)
 """
 TRAIN = """

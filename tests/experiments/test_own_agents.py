@@ -163,7 +163,7 @@ def test_a_video_that_memory_cannot_hold_is_refused(game, variant, monkeypatch):
     monkeypatch.setattr(video, "LARGEST", 3 * 60**2 * steps)
     video.play(policy, game, variant, 7, pixels=60)
     monkeypatch.setattr(video, "LARGEST", 3 * 60**2 * (steps - 1))
-    with pytest.raises(ValueError, match=rf"has at most {steps - 1:,} steps, .*--longest"):
+    with pytest.raises(ValueError, match=rf"has at most {steps - 1:,} steps, .*`longest`"):
         video.play(policy, game, variant, 7, pixels=60)
     video.play(policy, game, variant, 7, pixels=60, longest=steps - 1)
 
