@@ -119,4 +119,4 @@ $(INSTALLED): pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf .venv .bare .sbom attacked dist reports runs site sweeps
+	rm -rf .venv .bare .sbom attacked compared dist reports runs site sweeps
