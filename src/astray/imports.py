@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib
+import logging
 import re
 import sys
 import threading
@@ -12,7 +13,8 @@ from typing import Any
 
 from astray.validation import shown
 
-LONG = 10.0  # seconds of an import after which it is told, as it may never end
+LOG = logging.getLogger("astray")
+LONG = 10.0  # seconds of an import before it is announced
 NAME = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
 
 
@@ -70,6 +72,18 @@ def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
         raise ValueError(f"{what} fails: {shown(error, 300)}") from error
 
 
+@contextlib.contextmanager
+def announced(seconds: float, text: str) -> Iterator[None]:
+    """Log a warning if the block takes longer than so many seconds, as it may never end."""
+    timer = threading.Timer(seconds, LOG.warning, ["%s", text])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
 def is_name(text: str) -> bool:
     """Return whether `text` has the form of an object's name, "module:attribute"."""
     return bool(NAME.fullmatch(text))
@@ -100,17 +114,12 @@ def find(name: str) -> Any:
     if not is_name(name):
         raise ValueError(f"{name!r} must be a module and what is in it; as module:attribute")
     module = name.partition(":")[0]
-    told = f"astray: the module {module!r} is still being imported after {LONG:g} seconds"
-    waits = threading.Timer(LONG, lambda: print(told, file=sys.stderr, flush=True))
-    waits.daemon = True
-    waits.start()
+    told = f"the module {module!r} is still being imported after {LONG:g} seconds"
     try:
-        with guarded(f"the module {module!r}", ImportError, AttributeError):
+        with announced(LONG, told), guarded(f"the module {module!r}", ImportError, AttributeError):
             return _attribute(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:
         raise ValueError(f"{name!r} must be a module and what is in it; {error}") from error
-    finally:
-        waits.cancel()
 
 
 def find_each(names: Sequence[str]) -> dict[str, Any]:

@@ -108,13 +108,12 @@ def test_an_interrupt_while_a_game_loads_is_the_users(tmp_path, monkeypatch):
     games._offered.cache_clear()
 
 
-def test_a_game_that_takes_long_to_load_is_named(tmp_path, monkeypatch, capsys):
+def test_a_game_that_takes_long_to_load_is_named(tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(imports, "LONG", 0.01)
     offer(tmp_path, monkeypatch, slow="import time\ntime.sleep(0.3)\nGAME = 3\n")
     with pytest.raises(ValueError, match="must be a Game called 'slow'"):
         games.find("slow")
-    told = "astray: the module 'slow' is still being imported after 0.01 seconds\n"
-    assert capsys.readouterr().err == told
+    assert caplog.messages == ["the module 'slow' is still being imported after 0.01 seconds"]
 
 
 def test_a_game_that_closes_a_standard_stream_does_not_end_what_follows(tmp_path, monkeypatch):

@@ -12,6 +12,7 @@ import numba
 import pytest
 from filelock import FileLock
 
+from astray import imports
 from astray.envs import compiled
 from astray.games import find
 from astray.kernel import cache, jit
@@ -232,15 +233,13 @@ def test_other_settings_of_numba_have_another_folder(monkeypatch):
     assert jit.version_digest() != before
 
 
-def test_compiling_that_takes_long_is_announced(monkeypatch):
-    told, game = threading.Event(), find("maze")
-    monkeypatch.setattr(compiled.LOG, "warning", lambda *_: told.set())
-    monkeypatch.setattr(compiled, "SILENT", 0.01)
-    with compiled._announced(game):
+def test_what_takes_long_is_announced(monkeypatch):
+    told = threading.Event()
+    monkeypatch.setattr(imports.LOG, "warning", lambda *_: told.set())
+    with imports.announced(0.01, "compiling"):
         assert told.wait(30)
     told.clear()
-    monkeypatch.setattr(compiled, "SILENT", 30)
-    with compiled._announced(game):
+    with imports.announced(30, "compiling"):
         (timer,) = (one for one in threading.enumerate() if isinstance(one, threading.Timer))
     timer.join(10)
     assert not told.is_set() and not timer.is_alive()

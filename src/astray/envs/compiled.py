@@ -1,23 +1,21 @@
 """The batch loop, compiled for each game."""
 
-import contextlib
 import functools
-import logging
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
 from astray.envs import loops
 from astray.envs.pool import alone
 from astray.game import OWN, Game, Looks
+from astray.imports import announced
 from astray.kernel import rng
 from astray.kernel.grid import distances
 from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
 from astray.validation import shown
 
-LOG = logging.getLogger("astray")
 SILENT = 2.0  # seconds of compiling before it is announced
+COMPILING = "compiling {}: some 10 to 20 seconds of a core, once for each version of its code"
 # What `loops.run` is given in place of actions and results by commands that have none.
 NUMBERS, FLAGS = np.empty(0, np.int64), np.empty(0, bool)
 NO_RESULTS = np.empty(0), FLAGS, FLAGS
@@ -49,7 +47,7 @@ def _compiled(game: Game, art: str) -> Callable:
     functions["observe_one"] = specialise(loops.observe, label, kernel, **functions)
     run = specialise(loops.run, label, ACTIONS=len(game.actions), **functions)
     try:
-        with one_at_a_time(label), _announced(game):
+        with one_at_a_time(label), announced(SILENT, COMPILING.format(game.name)):
             _compile(game, looks, run)
     except (MemoryError, OSError):
         raise
@@ -59,19 +57,6 @@ def _compiled(game: Game, art: str) -> Callable:
         ) from error
     _compile_shared()
     return run
-
-
-@contextlib.contextmanager
-def _announced(game: Game) -> Iterator[None]:
-    """Log a message if this context takes more than `SILENT` seconds."""
-    text = "compiling %s: some 10 to 20 seconds of a core, once for each version of its code"
-    timer = threading.Timer(SILENT, LOG.warning, [text, game.name])
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 @functools.cache

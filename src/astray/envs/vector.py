@@ -307,7 +307,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return self._do(np.full(self.num_envs, AS_SET))
 
     def shown_as(self, observation: Observation, art: str) -> Callable[[], np.ndarray]:
-        """Return a function that returns other observations [N, ...] of the states at its call."""
+        """Return a function that returns the current states as other observations [N, ...]."""
         other = GameVectorEnv(
             self.game, self.variant, self.num_envs,
             observation=observation, art=art, threads=self._threads,
