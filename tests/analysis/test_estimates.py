@@ -13,6 +13,7 @@ from astray.analysis.estimates import (
     estimate_mean,
     estimate_paired,
     group_means,
+    group_rates,
     over_agents,
     quantile,
 )
@@ -198,6 +199,15 @@ def test_one_agent_alone_has_no_interval_over_agents():
 def test_columns_that_are_missing_are_named():
     with pytest.raises(ValueError, match=r"no column colour, worth; there are: \['agent'"):
         group_means(steps(), "worth", ["colour"])
+
+
+def test_rates_of_groups_refuse_a_misspelt_value():
+    rows = pl.DataFrame({"level": [1, 2], "fate": ["died", "late"], "all": [0, 0]})
+    assert group_rates(rows, "fate", ["died", "late", "won"], ["all"])["mean"].to_list() == [
+        0.5, 0.5, 0,
+    ]  # fmt: skip
+    with pytest.raises(ValueError, match="unknown fate 'dyed' of these rows; there are: died, la"):
+        group_rates(rows, "fate", ["dyed", "late"], ["all"])
 
 
 def test_no_rows_have_no_means():

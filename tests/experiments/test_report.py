@@ -427,14 +427,29 @@ def test_a_table_that_was_cut_short_is_told(tmp_path, monkeypatch):
     whole = spec.cached(tmp_path, "a", lambda: pl.DataFrame({"x": range(99)}))
     path = tmp_path / "computed" / "a.parquet"
     assert spec.cached(tmp_path, "a", whole.clear).equals(whole)
-    path.write_bytes(path.read_bytes()[:-9])
+    data = path.read_bytes()
+    path.write_bytes(data[:-9])
     told = r"a.parquet is not a table of astray's.* it is computed again"
     with pytest.raises(ValueError, match=told):
         spec.cached(tmp_path, "a", whole.clear)
     panics = Mock(side_effect=pl.exceptions.PanicException("range end index 9"))  # no Exception
+    path.write_bytes(data)
     monkeypatch.setattr(pl, "read_parquet", panics)
     with pytest.raises(ValueError, match=told):
         spec.cached(tmp_path, "a", whole.clear)
+
+
+def test_a_table_with_one_flipped_bit_is_not_given_to_polars(tmp_path, monkeypatch):
+    whole = pl.DataFrame({"x": range(999), "y": [0.5] * 999})
+    spec.cached(tmp_path, "a", lambda: whole)
+    path = tmp_path / "computed" / "a.parquet"
+    data = path.read_bytes()
+    assert pl.read_parquet(path).equals(whole)  # as any other reader of Parquet's files
+    monkeypatch.delattr(pl, "read_parquet")  # which may read other values, or end the process
+    for byte in range(len(data)):
+        path.write_bytes(data[:byte] + bytes([data[byte] ^ 1 << byte % 8]) + data[byte + 1 :])
+        with pytest.raises(ValueError, match=r"it has changed .* it is computed again"):
+            spec.cached(tmp_path, "a", whole.clear)
 
 
 def test_agents_of_several_names_have_curves_of_their_own():

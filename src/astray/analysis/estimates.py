@@ -23,7 +23,7 @@ import numpy as np
 import polars as pl
 
 from astray.estimate import Estimate
-from astray.validation import MOST, bounded, finite, of_kind, shown
+from astray.validation import MOST, bounded, finite, of_kind, one_of, shown
 
 CONFIDENCE = 0.95
 POWER = 0.8
@@ -341,7 +341,14 @@ def mean_of(rows: pl.DataFrame, value: str | pl.Expr) -> Estimate:
 def group_rates(
     rows: pl.DataFrame, column: str, values: Sequence[str], by: Sequence[str]
 ) -> pl.DataFrame:
-    """Return the rate of each of `values` of a column, with it, as `group_means` of each."""
+    """Return the rate of each of `values` of a column, with it, as `group_means` of each.
+
+    Raises:
+        ValueError: If rows have other values and lack one of `values`, or as for `group_means`.
+    """
+    occurred = {*rows[column].drop_nulls()}
+    for one in values if not occurred <= {*values} else ():
+        one_of(column, one, sorted(occurred), of="these rows")
     found = [group_means(rows.with_columns(pl.col(column) == one), column, by) for one in values]
     named = zip(found, values, strict=True)
     return pl.concat([rates.with_columns(pl.lit(one).alias(column)) for rates, one in named])

@@ -1,5 +1,6 @@
 """Files of tables: written atomically, and checked as they are read."""
 
+import hashlib
 import io
 from pathlib import Path
 
@@ -8,23 +9,31 @@ import polars as pl
 from astray.files import read, write_aside
 from astray.validation import brief
 
+SIGN = b"sha256 of the rest, by astray: "  # with a digest, between a Parquet file's data and footer
+
 
 def write_table(table: pl.DataFrame, path: Path) -> None:
-    """Write `table` to `path`, as CSV if its name ends in .csv, otherwise as Parquet.
+    """Write `table` to `path`, as CSV if its name ends in .csv, otherwise as Parquet, signed.
 
     A full disk or a kill leaves the old file or none.
     """
     file = io.BytesIO()
     if path.suffix == ".csv":
         table.write_csv(file)
-    else:
-        table.write_parquet(file)
-    write_aside(path, file.getvalue())
+        return write_aside(path, file.getvalue())
+    table.write_parquet(file)
+    data = file.getvalue()
+    at = len(data) - 8 - int.from_bytes(data[-8:-4], "little")  # of the footer, its length, PAR1
+    return write_aside(path, data[:at] + SIGN + hashlib.sha256(data).digest() + data[at:])
 
 
-def read_table(path: Path) -> pl.DataFrame:
-    """Return the table of a Parquet file; raise ValueError if it is damaged."""
+def read_table(path: Path, signed: bool = False) -> pl.DataFrame:
+    """Return the table of a Parquet file; raise ValueError if it is damaged, or not `signed`."""
+    before, sign, after = (data := read(path)).partition(SIGN)
+    rest = before + after[hashlib.sha256().digest_size :]
+    if (sign or signed) and not after.startswith(hashlib.sha256(rest).digest()):
+        raise ValueError(f"{path} is not a table of astray's: it has changed since it was written")
     try:  # polars would expand [ and * in a path; damaged tables may make it panic
-        return pl.read_parquet(io.BytesIO(read(path)))
+        return pl.read_parquet(io.BytesIO(data))
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise ValueError(f"{path} is not a table of astray's: {brief(error)}") from error

@@ -312,7 +312,7 @@ def cached(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.D
     path = computed(folder) / f"{name}.parquet"
     if path.exists():
         try:
-            return read_table(path)
+            return read_table(path, signed=True)
         except ValueError as error:
             raise ValueError(f"{error}; remove it, and it is computed again") from error
     table = compute()
