@@ -170,12 +170,18 @@ def other(module, *path, weights):
     return flax_bytes(data)
 
 
+DEEP = b"\x91" * 900 + b"\xc0"  # more than Python prints
+
+
 @pytest.mark.parametrize(
     "data, why",
     [
         (b"\xc1", "damaged, or not msgpack"),
         (b"\x93\x01", "damaged, or not msgpack"),
         (b"\x91" * 5000, "damaged, or not msgpack"),
+        (b"\x91\xdc\x08\x00" + b"\x90" * 2048, "2048 exceeds max_array_len"),
+        (msgpack.packb([[[]] * 1000] * 2), "more than 2,000 lists and dictionaries"),
+        (msgpack.packb(msgpack.ExtType(1, b"\x93\x90" + DEEP + b"\xc0")), "array of .*only num"),
         (flax_bytes({"0": {}, "1": {}}), "no settings and three modules"),
         (flax_bytes({"0": {}, "1": {"0": {}, "1": {}, "2": {}}}), "without parameters"),
         (msgpack.packb(msgpack.ExtType(7, b"")), "the extension 7"),

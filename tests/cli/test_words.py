@@ -115,6 +115,10 @@ def test_the_nearest_name_is_named_for_settings_and_verbs_too(astray):
     "given, meant",
     [
         ("reproduce maze-corner --size smok", "--size; there are: .*; did you mean 'smoke'[?]"),
+        (
+            "evaluate maze-corner --observation imag",
+            "--observation; there are: (image, symbolic|symbolic, image); did you mean 'image'[?]",
+        ),
         ("train maze corner --preset smallx", "--preset; there are: .*; did you mean 'small'[?]"),
         (
             "agents fech openai-coinrun",
@@ -142,6 +146,7 @@ def test_the_nearest_choice_of_an_option_is_named_in_colour_too(given, meant, mo
         ("train maze corner --lvels=3", "'--lvels' of train; did you mean '--num-levels'?"),
         ("export maze-corner --episodes 3", "of export; it has --levels, --out, "),
         ("list variant", "unknown word 'variant'; usage: astray list [-h] [--json | --no-json]"),
+        ("list ''", "unknown word ''; usage: astray list"),
         ("train maze corner more", "word 'more'; usage: astray train [-h] [OPTIONS] [GAME]"),
         ("play coinrn", "unknown game 'coinrn'; there are: boat, "),
         ("play coinrun", "play needs VARIANT; there are: coin-end, "),
@@ -157,7 +162,7 @@ def test_the_nearest_choice_of_an_option_is_named_in_colour_too(given, meant, mo
 )
 def test_a_misspelt_or_missing_word_is_told_in_a_line(given, told, astray, monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
-    line = astray(*given.split(), fails=True)
+    line = astray(*shlex.split(given), fails=True)
     assert told in line and line.count("\n") == 1
     assert "did you mean" in line or "unknown" not in line or "there are" not in line
 

@@ -123,7 +123,8 @@ def _mistake(call: Callable[..., Any], given: list[str], refused: str) -> str:
     choice = r"invalid choice '(.*?)' for argument '(.*?)'\. Expected one of \((.*)\)\."
     if found := re.search(choice, refused):
         name, option, there = found.groups()
-        return f"unknown choice {name!r} for {option}; there are: {there.replace(chr(39), '')}"
+        there = re.sub("'None', |, 'None'|'", "", there)  # nobody types None
+        return f"unknown choice {name!r} for {option}; there are: {there}"
     verb, shown = given[0], io.StringIO()
     with contextlib.suppress(SystemExit), contextlib.redirect_stdout(shown):
         tyro.cli(call, prog=f"astray {verb}", args=["--help"], config=MARKERS)
@@ -135,8 +136,8 @@ def _mistake(call: Callable[..., Any], given: list[str], refused: str) -> str:
             near = [short] if short in options else get_close_matches(word, options, 1)
             there = f"did you mean '--{near[0]}'?" if near else f"it has --{', --'.join(options)}"
             return f"unknown option '--{word}' of {verb}; {there}"
-    if found := re.search(r"Unrecognized options: ([^ ,]+)", refused):
-        return f"unknown word {found[1]!r}; {usage}"
+    if found := re.search(r"Unrecognized options: (For full helptext|[^ ,]+)", refused):
+        return f"unknown word {found[1].removeprefix('For full helptext')!r}; {usage}"
     if found := re.search(r"Error parsing (\S+): no type matching (\S+) .*?\[(.*?)\]", refused):
         return f"{found[1]} must be {found[2]}; got {found[3]}"
     if found := re.search(r"Error parsing (\S+): (.*?) Argument helptext", refused):

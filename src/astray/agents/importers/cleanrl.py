@@ -6,6 +6,7 @@ holds the training's settings and the parameters of three modules: network, acto
 are ordered by rows, columns, channels, and max-pooling is padded as "SAME": "impala-same".
 """
 
+import itertools
 import re
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -17,9 +18,11 @@ from torch import Tensor
 from astray.agents.importers import pth
 from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, Plain, build, check_actions
 from astray.agents.policy import Architecture
+from astray.validation import shown
 
 ZIP = b"PK"  # with which files of torch begin
 ARRAY, SCALAR = 1, 3  # Flax's extension types
+PARTS = 2000  # of a list or dict, and of these themselves; a network has some 50
 DEEPEST = 8  # names on the way to a parameter; the network's have 4
 KINDS = ("float16", "float32", "float64", "int32", "int64", "uint8", "bool")  # of their numbers
 DENSE = {"0": "features.linear", "1": "policy", "2": "value"}  # by the module that has them
@@ -65,17 +68,26 @@ def unpacked(data: bytes) -> Any:
     except ImportError:
         raise ValueError("reading it takes the package msgpack: pip install msgpack") from None
 
+    left = itertools.repeat(None, PARTS)  # a byte of a file could be a list, of 60 bytes
+
+    def counted(several: Any) -> Any:
+        if next(left, several) is several:
+            raise ValueError(f"it has more than {PARTS:,} lists and dictionaries")
+        return several
+
     def extended(code: int, packed: bytes) -> Any:
         if code not in (ARRAY, SCALAR):
             raise ValueError(f"it has the extension {code}, which is not an array")
-        shape, kind, raw = msgpack.unpackb(packed)
+        shape, kind, raw = msgpack.unpackb(packed, **how)
         if kind not in KINDS:
-            raise ValueError(f"it has an array of {str(kind)[:40]!r}; only numbers are read")
+            raise ValueError(f"it has an array of {shown(kind)}; only numbers are read")
         array = np.frombuffer(raw, kind).reshape(shape)
         return array if code == ARRAY else array.item()
 
+    how: Any = {"list_hook": counted, "object_hook": counted}
+    how |= {"max_array_len": PARTS, "max_map_len": PARTS}
     try:
-        return msgpack.unpackb(data, ext_hook=extended)
+        return msgpack.unpackb(data, ext_hook=extended, **how)
     except (ValueError, TypeError, msgpack.UnpackException) as error:
         why = str(error) or type(error).__name__
         raise ValueError(f"it is damaged, or not msgpack: {why}") from error
