@@ -1,7 +1,9 @@
 """Downloads are whole and the right file, or not there; an interrupted one goes on."""
 
 import contextlib
+import errno
 import hashlib
+import io
 import itertools
 import subprocess
 import sys
@@ -82,6 +84,21 @@ def test_what_is_checked_is_put_in_place_whatever_is_written_meanwhile(
     )
     download(serve(DATA).address, to, size=len(DATA), digest=digest(DATA))
     assert to.read_bytes() == DATA
+
+
+def test_a_download_that_the_disk_has_no_room_for_leaves_nothing(serve, tmp_path, monkeypatch):
+    class Full(io.FileIO):
+        def write(self, data):
+            super().write(data[:9])
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(downloads, "open", Full, raising=False)
+    to = tmp_path / "agents" / "agent.jd"
+    with pytest.raises(
+        OSError, match=r"No space left on device; nothing was written: .*agent\.jd'"
+    ):
+        download(serve(DATA).address, to, size=len(DATA), digest=digest(DATA))
+    assert not to.parent.exists()
 
 
 def test_a_table_that_was_changed_is_not_read(tmp_path, monkeypatch):

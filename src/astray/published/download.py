@@ -4,6 +4,7 @@ Two processes that download the same file take turns, and only verified bytes ar
 """
 
 import contextlib
+import errno
 import hashlib
 import http.client
 import os
@@ -57,14 +58,19 @@ def download(address: str, to: Path, *, size: int | None, digest: str | None) ->
         try:
             _fetch(address, part, size or LARGEST)
         except (OSError, ValueError, http.client.HTTPException) as error:  # also of addresses
+            if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
+                part.unlink()  # else it would hold all the room that there is
+                told = f"{os.strerror(errno.ENOSPC)}; nothing was written"
+                raise OSError(errno.ENOSPC, told, str(to)) from error
             arrived = part.stat().st_size if part.exists() else 0
             of = f" of {size:,}" if size else ""
             raise OSError(
                 f"{address} could not be downloaded ({shown(str(error))}); {arrived:,}{of} bytes "
                 "are there, and the same command goes on from them"
             ) from error
-        write_aside(to, _checked(address, part, size, digest))
-        part.unlink()
+        data = _checked(address, part, size, digest)
+        part.unlink()  # before, as a disk may have room for one of them
+        write_aside(to, data)
 
 
 def digest_of(data: bytes, like: str) -> str:
