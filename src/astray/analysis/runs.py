@@ -157,8 +157,11 @@ def evaluate_runs(
         digests[digest] = run
     for run, (_, other) in zip(runs, opened, strict=True):
         for name in ("game", "variant", "knobs", *(["art"] if art is None else [])):
-            if getattr(other, name) != getattr(config, name):
-                raise ValueError(f"{runs[0]} and {run} were trained with different {name}")
+            if (mine := getattr(config, name)) != (its := getattr(other, name)):
+                raise ValueError(
+                    f"agents evaluated together must share the {name} of their training: "
+                    f"{runs[0]} has {mine}, {run} has {its}"
+                )
     named, game = shift_of(config) if shift is None else shift, config.find_game()
     played = load_shift(game, named).test if variant is None else variant
     if levels is None:

@@ -96,11 +96,11 @@ def findings(work: Work) -> Findings:
     )
     return findings_of(
         work,
-        f"In levels like those of its training the agent reaches {intended} first in "
+        f"In the training levels of the shift the agent reaches {intended} first in "
         f"{reached.short()}; in the test in {first[INTENDED].short()}{other if proxies else ''}.",
         [
             above(
-                f"In levels like those of its training, the agent reaches {intended} first.",
+                f"In the training levels of the shift, the agent reaches {intended} first.",
                 "", INTENDED, reached, LEARNED,
             ),
             below(

@@ -36,6 +36,7 @@ WRITER = "astray explain"
 SIGN = f'<meta name="generator" content="{WRITER}">'.encode()  # in it
 PIXELS = 384  # a side of a picture
 LIKELIEST, LEAST = 4, 0.005  # actions that are named: at most, and the probability of each
+MOST_OF_PIXELS = 0.995  # have colours of their own: a few strong ones would leave the rest blank
 PLACES, FEWER = 128, 32  # of an object, at most; fewer where levels are large and episodes long
 
 
@@ -265,9 +266,9 @@ def _attribution(asked: Asked) -> list[Section]:
     (found,) = attribution.integrated_gradients(agent, shown)
     image = picture(asked.level.game, asked.variant, states, PIXELS, agent.art)[0]
     flat = found if found.ndim == 2 else found.sum(0)[::-1]  # planes have the lowest row first
-    most = max(abs(flat).max(), np.finfo(float).tiny)
+    most = max(np.quantile(abs(flat), MOST_OF_PIXELS), np.finfo(float).tiny)
     figure = images([[
-        Picture("what it is in", image),
+        Picture("level", image),
         Picture("integrated gradients", heat=flat, limits=(-most, most), colours=SIGNS,
                 label="part of the value", opacity=FADED),
     ]], (3.5, 3.6))  # fmt: skip
@@ -344,6 +345,8 @@ def _episode(asked: Asked) -> list[Section]:
     said = f"{len(course.table)} steps: {', '.join(events) or 'no event'}."
     if course.idle:
         said += f" The last {course.idle} steps, in one or two places, are not drawn."
+    if not isinstance(asked.agent, Opaque) and not asked.deviation:
+        said += " Advantages use undivided rewards, as the divisor of the training is unknown."
     return [_part("episode", "Its episode", said, episode.figure(course), course.table)]
 
 

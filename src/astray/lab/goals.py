@@ -105,7 +105,8 @@ def typical(
         said = f"No level distinguishes {listed}, as only the end of an episode shows them. "
     if not shown:
         listed = " or ".join(f"“{goal}”" for goal in pursued) or "another end"
-        return levels[0], f"{said}In {len(levels)} levels the agent did not come to {listed}."
+        tried = f"Level {levels[0]} is the first of {len(levels)} that were tried"
+        return levels[0], f"{said}{tried}; the agent came to {listed} in none."
     usual, count = shown.most_common(1)[0]
     found = {n: time for n, (goal, time) in played.items() if goal == usual}
     begun = initial_states(game, variant, levels).view(np.recarray)
