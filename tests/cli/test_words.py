@@ -228,8 +228,11 @@ def test_commands_of_pages_can_be_pasted_into_any_shell(page):
     [(verb, f"--{option}") for verb in ("evaluate", "agency", "compare", "export", "explain")
      for option in ("levels", "variant", "shift", "layers")
      if option in verbs.find(verb).__annotations__ or option in ("variant", "shift")
-     if (verb, option) != ("export", "shift")],
+     if (verb, option) != ("export", "shift")]
+    + [("distil", "--network"), ("distil", "--art"), ("train", "--out"), ("record", "--out")],
 )  # fmt: skip
 def test_an_empty_word_is_no_default(verb, option, astray):
-    told = astray(verb, "maze-corner", *["random"] * (verb == "compare"), option, "", fails=True)
-    assert re.search("levels must be numbers and ranges|unknown (variant|shift|layer) ''", told)
+    more = {"compare": ["random"], "distil": ["--observation=image"]}.get(verb, [])
+    told = astray(verb, "maze-corner", *more, option, "", fails=True)
+    refused = "levels must be numbers and ranges|unknown (variant|shift|layer|network) ''|got ''"
+    assert re.search(refused, told)

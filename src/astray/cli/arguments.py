@@ -181,7 +181,7 @@ class OwnPolicy:
             raise ValueError(
                 f"a policy of your own chooses by itself; it has no mode {acting.mode!r}"
             )
-        seen, art = self.observation or "image", acting.art or OWN
+        seen, art = self.observation or "image", OWN if acting.art is None else acting.art
         if self.policy == "random":
             return Random(observation=seen, art=art)
         if self.policy.startswith(WALK):
