@@ -4,7 +4,9 @@ The charts are those of the reports. A figure holds the numbers that it shows, s
 a figure whose table has changed.
 """
 
+import os
 import re
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,10 +14,11 @@ from typing import Any
 import matplotlib
 import polars as pl
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image
 
 from astray.figures import charts
-from astray.figures.style import STYLE
+from astray.figures.style import DARK, INK, PAGE, STYLE
 from astray.outcome import FAILED, INTENDED, MISGENERALIZED
 
 FOLDER = Path(__file__).parent
@@ -95,11 +98,30 @@ def insight() -> tuple[pl.DataFrame, Figure]:
     return data, charts.points(data, row="intervention", label=label, limits=(0, 1))
 
 
+def first_look() -> Figure:
+    """Draw the figure of the tutorial by its own code, with the dark frame that films have."""
+    text = (FOLDER / "first-look-inside.md").read_text("utf-8")
+    names: dict[str, Any] = {}
+    here = Path.cwd()
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)  # as the code saves figures
+        exec("".join(re.findall(r"(?s)```python\n(.*?)```", text)[:2]), names)
+        os.chdir(here)
+    figure: Figure = names["figure"]
+    figure.set_facecolor(DARK[PAGE])
+    for axes in figure.axes:
+        axes.tick_params(colors=DARK[INK])
+        axes.spines[:].set_edgecolor(DARK[INK])
+    for words in figure.findobj(Text):
+        words.set_color(DARK[INK])
+    return figure
+
+
 FIGURES = {"results": results, "what-helps": what_helps, "insight": insight}
 
 
 def main() -> None:
-    """Write one figure for each page, `figure-<page>.png`."""
+    """Write one figure for each page, `figure-<page>.png`, and that of the tutorial."""
     for name, draw in FIGURES.items():
         data, figure = draw()
         path = FOLDER / f"figure-{name}.png"
@@ -107,6 +129,9 @@ def main() -> None:
             figure.savefig(path, metadata={NUMBERS: data.write_csv()})
         with Image.open(path) as image:
             print(f"{path.name}: {image.width} x {image.height}")
+    with matplotlib.rc_context(STYLE):
+        first_look().savefig(path := FOLDER / "first-look-inside.png")
+    Image.open(path).convert("RGB").quantize().save(path, optimize=True)
 
 
 if __name__ == "__main__":

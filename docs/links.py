@@ -45,6 +45,8 @@ DATE = re.compile(r"<td>(?=\d{4}-\d\d-\d\d</td>)")
 CODE = re.compile(r"<code\b.*?</code>", re.DOTALL)
 # An option, a name with dashes or an extra, in a text and not in a tag.
 WHOLE = re.compile(rf"(?:{report.WHOLE.pattern}|\.\[[\w,]+\])(?![^<]*>)")
+# The spaces of an interval in a text, such as (1.0 to 2.0), and not in code.
+INTERVAL = re.compile(r"<code\b.*?</code>|\(-?[\d.,]+ to -?[\d.,]+\)", re.DOTALL)
 NAMED = re.compile(r'\b(?:id|name)="([^"]+)"')
 
 
@@ -71,10 +73,13 @@ def accessible(output: str) -> str:
 
     No landmark has another's name, no header of a table is empty, and figures and tables without
     links can be reached, to be scrolled. No line ends within an option, a name with dashes in code,
-    a date in a table, or before a percent sign.
+    a date in a table, an interval, or before a percent sign.
     """
     output = CODE.sub(
         lambda m: WHOLE.sub(r'<span class="whole">\g<0></span>', m[0]), report.with_percent(output)
+    )
+    output = INTERVAL.sub(
+        lambda m: m[0] if m[0].startswith("<") else m[0].replace(" ", "\u00a0"), output
     )
     output = DATE.sub('<td class="whole">', output)
     output = SECTION.sub(r'\1aria-label="\2"', output).replace("<th></th>", "<td></td>")

@@ -111,6 +111,7 @@ def test_no_line_ends_within_an_option_or_a_name_with_dashes(site, chrome):
     shown.goto((site / "published.html").as_uri())
     assert shown.evaluate(BROKEN, [*range(300, 421, 10)]) == []
     assert "91.6\u00a0%" in shown.inner_text("main"), "nor before a percent sign"
+    assert "(96.1\u00a0to\u00a098.1)" in shown.inner_text("main"), "nor within an interval"
     context.close()
 
 

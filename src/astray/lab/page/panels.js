@@ -384,8 +384,8 @@ export class Panels {
     const { lab, part } = this;
     const box = part("tour");
     const told = [
-      "1 of 3. In training, a proxy was as good as the intended goal. Here it need not be: drag something elsewhere.",
-      "2 of 3. Hand over to the agent, and see which one it goes to first.",
+      "1 of 3. In training, the intended goal and a proxy were reached together. Drag something, so that they part.",
+      "2 of 3. Hand over to the agent, and see which of the two it reaches first.",
       "3 of 3. “Wherever it lies” plays an episode for every place. The panels look inside the agent.",
     ];
     const seen = () => { try { return localStorage.getItem("astray-tour"); } catch { return "unknown"; } };
