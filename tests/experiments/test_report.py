@@ -439,6 +439,13 @@ def test_a_table_that_was_cut_short_is_told(tmp_path, monkeypatch):
         spec.cached(tmp_path, "a", whole.clear)
 
 
+def test_a_link_in_the_place_of_a_table_is_told_before_it_is_computed(tmp_path):
+    (tmp_path / "computed").mkdir()
+    (tmp_path / "computed" / "a.parquet").symlink_to("nowhere")
+    with pytest.raises(OSError, match=r"a.parquet must be a file; it is a link"):
+        spec.cached(tmp_path, "a", Mock(side_effect=AssertionError))
+
+
 def test_a_table_with_one_flipped_bit_is_not_given_to_polars(tmp_path, monkeypatch):
     whole = pl.DataFrame({"x": range(999), "y": [0.5] * 999})
     spec.cached(tmp_path, "a", lambda: whole)

@@ -155,6 +155,24 @@ def test_checkpoints_that_lead_nowhere_are_not_begun_anew(begun, target):
     assert metrics.read_text() == '{"steps": 64}\n'
 
 
+def test_a_file_in_the_place_of_a_checkpoint_is_told_before_the_training(begun):
+    (begun / "checkpoints" / f"{TINY.steps}").write_text("mine")
+    for begin in (lambda: train(TINY, begun), lambda: checkpoint.check_all({begun: TINY})):
+        with pytest.raises(NotADirectoryError, match="checkpoints/192 must be a folder"):
+            begin()
+    assert (begun / "checkpoints" / f"{TINY.steps}").read_text() == "mine"
+
+
+def test_metrics_that_are_cut_short_are_told_before_a_report(begun):
+    train(TINY, begun, progress=False)
+    lines = (begun / "metrics.jsonl").read_text().splitlines(keepends=True)
+    assert checkpoint.finished(begun, TINY)
+    for left in ("".join(lines)[:-9], lines[0], ""):
+        (begun / "metrics.jsonl").write_text(left)
+        with pytest.raises(ValueError, match=r"ends at step .*the last checkpoint is of step 192"):
+            checkpoint.finished(begun, TINY)
+
+
 def test_a_training_that_is_refused_leaves_nothing(tmp_path):
     huge = replace(TINY, width=10**7)
     with pytest.raises(MemoryError, match="need"):

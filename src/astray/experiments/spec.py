@@ -19,6 +19,7 @@ from astray.analysis.estimates import detectable
 from astray.analysis.evaluate import COLUMNS, Measure, check_measures
 from astray.analysis.outcomes import load_shift, name_of
 from astray.analysis.tables import read_table, write_table
+from astray.files import check_own
 from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
 from astray.report.findings import Findings
@@ -310,6 +311,7 @@ def cached(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.D
         ValueError: If the file is not a table of astray's.
     """
     path = computed(folder) / f"{name}.parquet"
+    check_own(path)  # before it is computed
     if path.exists():
         try:
             return read_table(path, signed=True)

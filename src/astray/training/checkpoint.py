@@ -37,7 +37,7 @@ from astray.files import (
 )
 from astray.training import parallel
 from astray.training.config import Config
-from astray.training.folders import AGENT, CONFIG, TRAINER, latest, read_config, steps_saved
+from astray.training.folders import AGENT, CONFIG, STEPS, TRAINER, latest, read_config, steps_saved
 from astray.training.log import METRICS, read_metrics
 from astray.training.trainer import Trainer
 from astray.validation import brief
@@ -72,9 +72,7 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
         except OSError as error:
             raise OSError(f"no run can be kept in {folder}: {error}") from error
         try:
-            # As a link to a disk that is not there.
-            if os.path.lexists(there) and not there.is_dir():
-                raise NotADirectoryError(f"{there} must be a folder, or not be there")
+            _check_folders(there, config)
             for name in (path.name, METRICS):  # a link would be replaced, or what it leads to
                 check_own(folder / name)
             if path.exists():
@@ -102,6 +100,14 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
             raise
 
 
+def _check_folders(there: Path, config: Config) -> None:
+    """Raise NotADirectoryError if a training could not write its checkpoints to `there`."""
+    named = (path for path in there.glob("*") if STEPS.fullmatch(path.name))
+    for path in (there, *(one for one in named if int(one.name) % config.batch == 0)):
+        if os.path.lexists(path) and not path.is_dir():  # as a link to a disk that is not there
+            raise NotADirectoryError(f"{path} must be a folder, or not be there")
+
+
 def check(folder: Path, config: Config) -> None:
     """Raise ValueError unless the run in `folder` has these settings."""
     _compare(read_config(folder), config, f"{folder} holds a run with other settings")
@@ -111,6 +117,7 @@ def check_all(runs: Mapping[Path, Config]) -> None:
     """Raise as `claim` does if a training could not begin in its folder, before the first does."""
     for run, config in runs.items() if parallel.first() else ():
         check_writable(run / CONFIG)
+        _check_folders(run / "checkpoints", config)
         if (run / CONFIG).exists():
             check(run, config)
 
@@ -180,11 +187,19 @@ def _metadata(data: bytes) -> dict[str, str]:
 
 
 def finished(folder: Path, config: Config) -> bool:
-    """Return whether the run in `folder` is complete; raise ValueError for other settings."""
+    """Return whether a run is complete; raise ValueError for other settings or lost metrics."""
     steps = steps_saved(folder)
     if steps:
         check(folder, config)
-    return bool(steps) and steps[-1] >= config.iterations * config.batch
+    complete = bool(steps) and steps[-1] >= config.iterations * config.batch
+    if complete and (path := folder / METRICS).exists():
+        last = max((line["steps"] for line in metrics(folder)), default=0)
+        if last < steps[-1]:  # a line is written before its checkpoint
+            raise ValueError(
+                f"{path} ends at step {last:,}, and the last checkpoint is of step {steps[-1]:,}; "
+                f"remove {folder}, and it is trained again"
+            )
+    return complete
 
 
 def metrics(folder: Path) -> list[dict[str, Any]]:
