@@ -51,8 +51,8 @@ def test_a_ceiling_more_doses_and_a_larger_buffer_stand_beside_the_methods():
 
 
 def test_the_schedules_have_the_same_levels_at_other_times():
-    agents = early_or_late.EXPERIMENT.sizes["smoke"].agents
-    mixed = {name: c for name, c in agents.items() if name != early_or_late.NEVER}
+    plan = early_or_late.EXPERIMENT.sizes["smoke"]
+    agents, mixed = plan.agents, {name: plan.agents[name] for name in early_or_late.MIXED}
     assert len({c.training_variant() for c in mixed.values()}) == 1
     assert sorted(c.sampler.schedule for c in mixed.values()) == [
         "annealed",
@@ -60,10 +60,14 @@ def test_the_schedules_have_the_same_levels_at_other_times():
         "late",
         "throughout",
     ]
-    assert {(c.sampler.fraction, c.sampler.shifted_levels) for c in mixed.values()} == {
-        (early_or_late.WITHIN, early_or_late.BEGUN)
+    assert {(c.sampler.fraction, c.sampler.shifted_steps) for c in mixed.values()} == {
+        (0.1, 40_000)
     }
     assert agents[early_or_late.NEVER].training_variant().shift_probability == 0
+    assert not any(c.anneal for c in agents.values())  # what comes late is learned as fast
+    for name in early_or_late.KINDS:  # from competence, and to a payment
+        assert plan.starts[name] == early_or_late.BEFORE
+        assert plan.starts[early_or_late.paid(name)] == name
 
 
 def test_late_is_after_the_goal_was_passed_or_never_in_episodes_that_go_astray():

@@ -111,6 +111,7 @@ def test_a_test_that_agents_could_not_play_is_told_before_training(tmp_path, kno
             r"second cannot be trained: a minibatch of a network with memory",
         ),
         ({"teacher": "nobody"}, r"second is a student of nobody: name it in `teachers`"),
+        ({"start": "nobody"}, r"second cannot be trained: unknown agent 'nobody'"),
     ],
 )
 def test_a_training_that_could_not_begin_is_told_before_those_before_it(tmp_path, setting, said):

@@ -9,10 +9,9 @@ from astray.experiments import catalogue, run
 from astray.experiments.spec import Plan, name_of_run
 from astray.experiments.workers import expected
 from astray.training.config import Config
-from astray.training.folders import AgentFolder
+from astray.training.folders import START, TEACHER, AgentFolder
 from astray.training.levels import Growing
 from astray.training.loop import train
-from astray.training.teacher import TEACHER
 from helpers.trainings import TINY
 
 NAMES = [name for name in catalogue.NAMES if {"night", "paper"} <= {*catalogue.load(name).sizes}]
@@ -94,6 +93,46 @@ def test_agents_that_only_teach_are_trained_first_and_are_in_no_table(tmp_path, 
         teacher = AgentFolder.open(run.run_folder(tmp_path, replace(teaching, seed=seed)))
         assert (folder / TEACHER).read_bytes() == teacher.weights.read_bytes()
         assert "update/kl" in (folder / "metrics.jsonl").read_text()
+
+
+def test_agents_begin_with_those_of_their_seed_that_were_trained_before(tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "train_all", train_here)  # processes have tests of their own
+    mouse = replace(TINY, levels=300)
+    agents = {
+        "paid": replace(mouse, variant="anywhere-small", learning_rate=0.0),
+        "later": replace(mouse, steps=512),
+        "first": mouse,
+    }
+    starts = {"paid": "later", "later": "first"}
+    plan = Plan(agents=agents, starts=starts, seeds=2, first_seed=3, levels=1, differences="")
+    assert plan.phases() == [["first"], ["later"], ["paid"]]
+    runs = run.train_agents(plan, tmp_path, 1, "here")
+    for name, first in starts.items():
+        for one, before in zip(runs[name], runs[first], strict=True):
+            weights = AgentFolder.open(before).weights
+            assert (one / START).read_bytes() == weights.read_bytes()
+            assert one.name == before.name
+    later, paid = (AgentFolder.open(runs[name][0]).weights for name in ("later", "paid"))
+    assert later.read_bytes() == paid.read_bytes()  # with a learning rate of 0
+    # Whoever begins with another agent is another agent.
+    other = replace(plan, agents={**agents, "first": replace(mouse, levels=200)})
+    assert not {run.run_folder(tmp_path, one) for one in plan.trainings()["paid"]} & {
+        run.run_folder(tmp_path, one) for one in other.trainings()["paid"]
+    }
+
+
+@pytest.mark.parametrize(
+    "starts, width, message",
+    [
+        ({"one": "nobody"}, 16, "must name agents of the plan that are trained here"),
+        ({"one": "two", "two": "one"}, 16, "begin with each other's weights: one, two"),
+        ({"one": "two"}, 8, "one begins with two, of width 8; got 16"),
+    ],
+)
+def test_agents_that_cannot_begin_with_each_other_are_no_plan(starts, width, message):
+    agents = {"one": TINY, "two": replace(TINY, width=width)}
+    with pytest.raises(ValueError, match=message):
+        Plan(agents=agents, starts=starts, levels=1, differences="")
 
 
 def test_the_runners_of_a_night_have_teachers_of_their_coins_and_seeds():

@@ -30,6 +30,7 @@ from helpers.trainings import PLAIN, TINY, digest, train_to_first_checkpoint
 
 SHIFTED = {**TINY.knobs, "shift_probability": 0.2}
 MIXED = TINY.changed(sampler="mixed", knobs=SHIFTED)
+DOSED = MIXED.changed(shifted_steps=300)
 PLR = TINY.changed(sampler="plr", knobs=SHIFTED, buffer=64, score="regret")
 GROWING = TINY.changed(sampler="growing", levels=200, knobs={"world": 7, "largest": 7})
 ACCEL = PLR.changed(sampler="accel", score="max-monte-carlo")
@@ -137,9 +138,43 @@ def test_every_schedule_begins_as_many_shifted_levels_as_were_asked_for(schedule
         assert sum(begun[-quarter:]) == 40
 
 
-def test_shifted_levels_need_time_to_come_in():
-    with pytest.raises(ValueError, match="shifted_levels needs a fraction above 0; got 0"):
-        Mixed(MIXED.changed(fraction=0, shifted_levels=10))
+@pytest.mark.parametrize("schedule", ["throughout", "early", "late", "annealed"])
+def test_every_schedule_plays_as_many_steps_in_shifted_levels_as_were_asked_for(schedule):
+    config = MIXED.changed(schedule=schedule, fraction=0.25, shifted_steps=2048, steps=40 * 256)
+    sampler, random, spent = Mixed(config), np.random.default_rng(0), []
+    now = np.zeros(16, np.int64)
+    for steps in range(0, config.steps, config.batch):
+        if sampler.plan(steps).restart:
+            now = sampler.next(np.arange(16))
+        # Shifted levels take twice as long, as they may.
+        ended, inside = np.zeros((16, 16), bool), 0
+        for t in range(16):
+            shifted = np.array([fraction_of(number, SHIFT) < 0.2 for number in now])
+            inside += shifted.sum()
+            ended[t] = random.random(16) < np.where(shifted, 0.1, 0.2)
+            if ended[t].any():
+                now[ended[t]] = sampler.next(np.flatnonzero(ended[t]))
+        sampler.note(played(np.zeros((16, 16)), ended))
+        spent.append(inside)
+    assert sampler.summary()["shifted_steps"] == sum(spent)
+    assert sum(spent) == pytest.approx(2048, rel=0.05)
+    quarter = len(spent) // 4
+    parts = {"throughout": 0.25, "early": 1, "late": 0, "annealed": 1 - 0.75**2}
+    assert sum(spent[:quarter]) / 2048 == pytest.approx(parts[schedule], abs=0.05)
+    assert max(spent) < 256 or schedule in ("early", "late")
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"fraction": 0, "shifted_levels": 10}, "shifted_levels needs a fraction above 0; got 0"),
+        ({"fraction": 0, "shifted_steps": 10}, "shifted_steps needs a fraction above 0; got 0"),
+        ({"shifted_levels": 10, "shifted_steps": 9}, "either counted or their steps; got .*: 9}"),
+    ],
+)
+def test_a_dose_of_shifted_levels_is_of_one_kind_and_needs_time_to_come_in(change, message):
+    with pytest.raises(ValueError, match=message):
+        Mixed(MIXED.changed(**change))
 
 
 def test_regret_is_what_the_solver_gets_more_than_the_agent():
@@ -212,7 +247,7 @@ def test_levels_that_are_only_scored_leave_no_trace_in_learning():
 
 
 @pytest.mark.parametrize(
-    "config", [MIXED, GROWING, PLR, ACCEL], ids=["mixed", "growing", "plr", "accel"]
+    "config", [MIXED, DOSED, GROWING, PLR, ACCEL], ids=["mixed", "dosed", "growing", "plr", "accel"]
 )
 def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeypatch):
     train(config, tmp_path / "whole", progress=False)
@@ -223,6 +258,8 @@ def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeyp
     counted = checkpoint.metrics(tmp_path / "parts")[-1]
     if config is MIXED:
         assert 0 < counted["levels/shifted_fraction"] < 0.5
+    elif config is DOSED:
+        assert 250 < counted["levels/shifted_steps"] < 350
     elif config is GROWING:
         assert counted["levels/part"] == 1
     else:

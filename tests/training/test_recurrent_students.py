@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from astray.training import checkpoint, teacher
+from astray.training.folders import TEACHER
 from astray.training.loop import collect, train
-from astray.training.teacher import TEACHER
 from astray.training.trainer import Trainer
 from helpers.trainings import TINY, digest, train_to_first_checkpoint
 

@@ -1,12 +1,14 @@
 """A student learns what its teacher would do, in its own episodes."""
 
 import contextlib
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 import astray
 from astray.acting import Answer, initial_states
@@ -14,8 +16,9 @@ from astray.agents.policy import Architecture
 from astray.cli.distil import distil
 from astray.training import checkpoint, ppo, teacher
 from astray.training.fast import acceleration
+from astray.training.folders import TEACHER
 from astray.training.loop import collect, improve, train
-from astray.training.teacher import TEACHER, Taught
+from astray.training.teacher import Taught
 from astray.training.trainer import Trainer
 from helpers.trainings import TINY, digest, train_to_first_checkpoint
 
@@ -102,9 +105,32 @@ def test_a_student_without_its_teacher_or_with_another_is_refused(tmp_path, stud
         train(replace(STUDENT, knobs={"world": 7, "largest": 7}), student, progress=False)
     other = tmp_path / "other.safetensors"
     other.write_bytes(weights.read_bytes() + b" ")
-    with pytest.raises(ValueError, match=r"must be the teacher at .*; it is another"):
+    with pytest.raises(ValueError, match=r"must be the agent at .*; it is another"):
         teacher.give(other, student)
     assert (student / TEACHER).read_bytes() == weights.read_bytes()
+
+
+def test_a_training_begins_with_the_weights_of_another_agent(tmp_path, weights, monkeypatch):
+    other = shutil.copytree(weights.parents[2], tmp_path / "other")
+    begun = replace(TINY, start=str(other))
+    same = train(replace(begun, learning_rate=0.0), tmp_path / "same", progress=False)
+    assert load_file(same / checkpoint.AGENT).keys() == load_file(weights).keys()
+    for name, weight in load_file(same / checkpoint.AGENT).items():
+        assert torch.equal(weight, load_file(weights)[name])
+    train(begun, tmp_path / "whole", progress=False)
+    train_to_first_checkpoint(begun, tmp_path / "parts", monkeypatch)
+    shutil.rmtree(other)  # a checkpoint is enough to go on
+    train(begun, tmp_path / "parts", progress=False)
+    assert digest(tmp_path / "parts") == digest(tmp_path / "whole")
+
+
+def test_a_training_that_cannot_begin_with_an_agent_says_so(tmp_path, weights):
+    begun = replace(TINY, start=str(weights.parents[2]))
+    with pytest.raises(ValueError, match=r"its network is .*width=16.*the training .*width=8"):
+        next(astray.iterate(replace(begun, width=8)))
+    with pytest.raises(FileNotFoundError, match="unknown agent 'nobody'"):
+        train(replace(begun, start="nobody"), tmp_path / "mouse", progress=False)
+    assert not (tmp_path / "mouse" / "config.json").exists()
 
 
 def test_a_teacher_that_sees_images_is_shown_those_that_it_knows(tmp_path):

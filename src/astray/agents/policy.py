@@ -125,15 +125,20 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
         return network.to(device).eval(), architecture
 
 
-def load_into(network: nn.Module, path: Path, game: str) -> None:
+def load_into(network: nn.Module, path: Path, game: str, known: Architecture | None = None) -> None:
     """Load the weights in `path` into `network`.
+
+    Args:
+        known: The network's architecture, which the agent's must be; None to check weights alone.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not an agent of this game, or of another network.
     """
     with _explained(path):
-        tensors, _ = _read(path, game)
+        tensors, its = _read(path, game)
+        if known not in (None, its):
+            raise ValueError(f"its network is {its}, and that of the training {known}")
         _check_weights(tensors, network)
         network.load_state_dict(tensors)
 

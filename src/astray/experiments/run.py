@@ -40,10 +40,9 @@ from astray.report.claims import corrected
 from astray.training import checkpoint, folders
 from astray.training.config import SOLVER, Config, Device, Fast, Tracking
 from astray.training.folders import AgentFolder
-from astray.training.loop import checked
+from astray.training.loop import begin, checked
 from astray.training.teacher import give
 from astray.training.track import check_installed
-from astray.training.trainer import Trainer
 from astray.validation import brief, one_of
 
 ALL = "all"  # experiments of a size
@@ -157,15 +156,15 @@ def train_agents(
     if missing:
         checkpoint.check_all(missing)
         if on == "here":  # else some of these wait for their turn
-            check_trainable(trainings)
+            check_trainable(plan, trainings)
         if plan.speed and on == "here" and plan.device in (None, "cpu"):
             tested = {run for name in plan.agents for run in runs[name]}  # others are soon trained
             slow = {run: one for run, one in todo.items() if run in tested}
             print(expected(slow, plan.speed, workers), file=sys.stderr, flush=True)
-    students = {run for name in plan.teachers for run in runs[name]}
-    train_all({run: one for run, one in todo.items() if run not in students}, workers, on, track)
-    give_teachers(plan, runs)
-    train_all({run: one for run, one in todo.items() if run in students}, workers, on, track)
+    for names in plan.phases():
+        give_weights(plan, runs, names)
+        now = {run for name in names for run in runs[name]}
+        train_all({run: one for run, one in todo.items() if run in now}, workers, on, track)
     return {name: its for name, its in runs.items() if name in {*plan.agents, *plan.own}}
 
 
@@ -196,29 +195,31 @@ def own_runs(plan: Plan, name: str, root: Path) -> list[Path]:
     return found
 
 
-def check_trainable(trainings: Mapping[str, Iterable[Config]]) -> None:
-    """Raise ValueError if one of the trainings, by agents' names, could not begin here."""
+def check_trainable(plan: Plan, trainings: Mapping[str, Iterable[Config]]) -> None:
+    """Raise ValueError if one of a plan's trainings, by agents' names, could not begin here."""
     for name, (config, *_) in trainings.items():
         try:
             config = checked(config, None, None, None)
             if config.teacher not in (None, SOLVER):  # whose weights are not here yet
                 config = replace(config, teacher=None, taught=1.0)
+            if name in plan.starts:  # nor are these
+                config = replace(config, start=None)
             if config.device != "cpu":  # whose memory is for the trainings
                 config = replace(config, device="cpu", fast=Fast())
             with warnings.catch_warnings(action="ignore"):  # the training warns
-                Trainer(config).close()
-        except ValueError as error:
+                begin(config, None, None, None, None).close()
+        except (ValueError, FileNotFoundError) as error:
             raise ValueError(f"{name} cannot be trained: {error}") from error
 
 
-def give_teachers(plan: Plan, runs: Runs) -> None:
-    """Write the trained teachers' weights to the students' run folders."""
-    for student in plan.teachers:
-        its = runs[plan.called(student)]
-        for number, run in enumerate(runs[student]):
-            give(
-                AgentFolder.open(its[number % len(its)]).weights, run
-            )  # a published one teaches all
+def give_weights(plan: Plan, runs: Runs, names: Iterable[str]) -> None:
+    """Write to the run folders of `names` the weights of trained agents that they need."""
+    for name in names:
+        for file, source in plan.sources(name).items():
+            its = runs[source]
+            for number, run in enumerate(runs[name]):
+                one = AgentFolder.open(its[number % len(its)])  # a published one is for all
+                give(one.weights, run, file)
 
 
 def published_run(agent: str) -> Path:

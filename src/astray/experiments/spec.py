@@ -25,6 +25,7 @@ from astray.record import LEVELS
 from astray.report.findings import Findings
 from astray.report.page import COMPUTED
 from astray.training.config import MACHINE, PRESETS, SOLVER, Config, Device, Named
+from astray.training.folders import START, TEACHER
 from astray.validation import MOST, bounded, of_kind, shown
 from astray.world import World
 
@@ -91,6 +92,8 @@ class Plan:
     # Of students, by name: which agents of the plan they are distilled from, each from that of its
     # own seed, or the settings of agents that are trained to teach alone.
     teachers: Mapping[str, str | Config] = field(default_factory=dict)
+    # By name: which agents of the plan its trainings begin with, each with that of its own seed.
+    starts: Mapping[str, str] = field(default_factory=dict)
     world: World | Game | None = None  # that `own` agents play; then there are no others
     own: Mapping[str, OwnAgents] = field(default_factory=dict)  # by name
     first_level: int | None = None  # of all tests; None: those that no agent has met, or for `own`
@@ -119,6 +122,14 @@ class Plan:
             raise ValueError("`teachers` must name agents of the plan")
         if students & {*self.published, *named}:
             raise ValueError("a student must be trained here, and teach nobody")
+        if not {*self.starts, *self.starts.values()} <= self.agents.keys() - set(self.published):
+            raise ValueError("`starts` must name agents of the plan that are trained here")
+        for name, first in self.starts.items():
+            for what in ("network", "observation", "scale", "width"):
+                mine, its = (getattr(self.agents[x], what) for x in (name, first))
+                if mine != its:
+                    raise ValueError(f"{name} begins with {first}, of {what} {its}; got {mine}")
+        self.phases()
         for name in self.agents.keys() - students - set(self.published):
             if (teacher := self.agents[name].teacher) not in (None, SOLVER):
                 raise ValueError(f"{name} is a student of {teacher}: name it in `teachers`")
@@ -215,12 +226,42 @@ class Plan:
         }
         return {
             name: [
-                replace(config, seed=seed, teacher=self.teacher_of(name, seed), **how)
-                for seed in (config.seed + self.first_seed + k for k in range(self.seeds))
+                replace(self._begun(name, config, config.seed + self.first_seed + k), **how)
+                for k in range(self.seeds)
             ]
             for name, config in {**self.agents, **only_teach}.items()
             if name not in self.published
         }
+
+    def _begun(self, name: str, config: Config, seed: int) -> Config:
+        """Return a training's settings with its seed, teacher and start."""
+        first = self.starts.get(name)
+        if first is not None:
+            begun = name_of_run(self._begun(first, self.agents[first], seed))
+            config = replace(config, start=begun)
+        return replace(config, seed=seed, teacher=self.teacher_of(name, seed))
+
+    def sources(self, name: str) -> dict[str, str]:
+        """Return whose weights a name's trainings need, by the file of these."""
+        found = {TEACHER: self.called(name)} if name in self.teachers else {}
+        return found | ({START: self.starts[name]} if name in self.starts else {})
+
+    def phases(self) -> list[list[str]]:
+        """Return the names of all trainings in groups, each after those whose weights it needs.
+
+        Raises:
+            ValueError: If trainings begin with each other's agents.
+        """
+        names = dict.fromkeys([*self.agents, *map(self.called, self.teachers)])
+        waiting = [name for name in names if name not in self.published]
+        found: list[list[str]] = []
+        while waiting:
+            ready = [n for n in waiting if not {*self.sources(n).values()} & {*waiting}]
+            if not ready:
+                raise ValueError(f"agents begin with each other's weights: {', '.join(waiting)}")
+            found.append(ready)
+            waiting = [name for name in waiting if name not in ready]
+        return found
 
     def called(self, student: str) -> str:
         """Return the name of a student's teachers."""
@@ -235,7 +276,7 @@ class Plan:
         if isinstance(teacher, str):
             if teacher in self.published:
                 return self.published[teacher]
-            teacher = self.agents[teacher]
+            return name_of_run(self._begun(teacher, self.agents[teacher], seed))
         return name_of_run(replace(teacher, seed=seed))
 
 

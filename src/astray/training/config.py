@@ -112,6 +112,8 @@ class Config:
     lessons: Literal["episodes", "anywhere"] = "episodes"
     # Initial learning rate of lessons, annealed within them; learning_rate begins after them.
     lesson_rate: Annotated[float | None, otherwise("one learning_rate for all steps")] = None
+    # Agent, by name or folder, with whose weights the training begins.
+    start: Annotated[str | None, otherwise("new weights")] = None
 
     validation_every: int = 10  # Number of iterations between validations.
     checkpoint_every: int = 50  # Number of iterations between checkpoints.

@@ -30,6 +30,7 @@ from astray.validation import finite, shown
 PRETRAINED = Path(agents.__path__[0]) / "pretrained"  # also in wheels
 CONFIG, CARD, ORIGIN, HUB = "config.json", "README.md", "origin.json", "hub.json"
 AGENT, TRAINER = "agent.safetensors", "trainer.safetensors"
+TEACHER, START = "teacher.safetensors", "start.safetensors"  # other agents' weights, beside it
 DEVIATION = "reward_deviation"  # beside the settings of an agent that was kept
 # Of discounted returns: mean, variance and count, in what a training goes on from.
 MOMENTS = "training.moments"

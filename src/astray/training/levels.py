@@ -167,9 +167,11 @@ class Mixed:
     """Sampler that mixes in shifted levels, at a rate that depends on time.
 
     The variant's shift_probability decides which numbers are shifted levels, so all schedules
-    share them. Early in training episodes are long, so equal fractions of *steps* contain fewer
-    shifted *levels*. Set `shifted_levels` to begin the same number of them under every schedule:
-    those due in a rollout then come first in it.
+    share them. Early in training episodes are long, so equal fractions of the time contain fewer
+    shifted levels. Set `shifted_levels` to begin the same number of them under every schedule:
+    those due in a rollout then come first in it. Set `shifted_steps` to play as many steps in them:
+    then as many environments at once play shifted levels as the steps due in a rollout need, and
+    what their last episodes play too much is played less later.
     """
 
     def __init__(self, config: Config):
@@ -181,8 +183,14 @@ class Mixed:
             )
         self.config = config
         self.fraction = stock if config.sampler.fraction is None else config.sampler.fraction
-        if not self.fraction and config.sampler.shifted_levels:
-            raise ValueError("shifted_levels needs a fraction above 0; got 0")
+        doses = {x: getattr(config.sampler, x) for x in ("shifted_levels", "shifted_steps")}
+        given = [name for name, dose in doses.items() if dose is not None]
+        if len(given) > 1:
+            raise ValueError(f"the shifted levels are either counted or their steps; got {doses}")
+        if not self.fraction and given:
+            raise ValueError(f"{given[0]} needs a fraction above 0; got 0")
+        self.dose = doses[given[0]] if given else None
+        self.in_steps = "shifted_steps" in given
         if config.sampler.schedule == "annealed" and self.fraction > 0.5:
             raise ValueError(f"fraction must be at most 0.5 to be annealed; got {self.fraction}")
         check_memory(10 * config.levels, f"{config.levels:,} training levels")
@@ -197,46 +205,74 @@ class Mixed:
             )
         self.turn, self.now, self.due = 0, 0.0, 0
         self.begun = np.zeros(2, np.int64)  # numbers of levels: all, shifted
+        self.played = np.zeros(1, np.int64)  # steps in shifted levels
+        # For each environment, whether its levels are shifted: that of the last rollout's end, and
+        # those begun since.
+        self.inside: list[list[bool]] = [[False] for _ in range(config.num_envs)]
 
     def plan(self, steps: int) -> Plan:
         config = self.config
-        if config.sampler.shifted_levels is None:
+        if self.dose is None:
             self.now = fraction_at(config.sampler.schedule, self.fraction, steps / config.steps)
         else:
             progress = min((steps + config.batch) / config.steps, 1.0)
             part = part_at(config.sampler.schedule, self.fraction, progress)
-            self.due = round(part * config.sampler.shifted_levels)
+            self.due = round(part * self.dose)
         return Plan(restart=not self.begun[0])
 
     def next(self, places: np.ndarray) -> np.ndarray:
         random, first = stream(self.config, self.turn), self.config.first_level
         self.turn += 1
-        if self.config.sampler.shifted_levels is None:
+        if self.dose is None:
             is_shifted = random.random(len(places)) < self.now
         else:
-            is_shifted = random.permutation(len(places)) < self.due - self.begun[1]
+            is_shifted = random.permutation(len(places)) < self._wanted(places)
         numbers = random.integers(first, first + self.config.levels, len(places))
         while (wrong := ~is_shifted & self.is_shifted[numbers - first]).any():
             numbers[wrong] = random.integers(first, first + self.config.levels, wrong.sum())
         drawn = random.integers(len(self.shifted), size=len(places))
         numbers[is_shifted] = self.shifted[drawn[is_shifted]]
         self.begun += len(places), is_shifted.sum()
+        for place, one in zip(places, is_shifted, strict=True):
+            self.inside[place].append(bool(one))
         return numbers
 
+    def _wanted(self, places: np.ndarray) -> int:
+        """Return how many shifted levels are due in environments whose last level has ended."""
+        if not self.in_steps:
+            return self.due - self.begun[1]
+        at_once = -(-(self.due - self.played[0]) // self.config.num_steps)
+        others = set(range(len(self.inside))).difference(places.tolist())
+        return at_once - sum(self.inside[i][-1] for i in others)
+
     def note(self, played: Played) -> None:
-        """Ignore the results: they do not affect the next levels."""
+        """Count the steps in shifted levels."""
+        ended = played.terminated | played.truncated
+        for i, inside in enumerate(self.inside):
+            lengths = np.diff(np.flatnonzero(ended[:, i]), prepend=-1, append=len(ended) - 1)
+            # A restart before the rollout leaves a level of which no step was played.
+            self.played += lengths @ inside[-len(lengths) :]
+            self.inside[i] = inside[-1:]
 
     def summary(self) -> dict[str, float]:
         begun, shifted = map(float, self.begun)
-        return {"begun": begun, "shifted": shifted, "shifted_fraction": shifted / begun}
+        told = {"begun": begun, "shifted": shifted, "shifted_fraction": shifted / begun}
+        return told | ({"shifted_steps": float(self.played[0])} if self.in_steps else {})
 
     def arrays(self) -> dict[str, np.ndarray]:
-        return {"turn": np.array([self.turn]), "begun": self.begun}
+        kept = {"turn": np.array([self.turn]), "begun": self.begun}
+        inside = np.array([levels[-1] for levels in self.inside])
+        return kept | ({"played": self.played, "inside": inside} if self.in_steps else {})
 
     def restore(self, arrays: Arrays) -> None:
         self.turn, self.begun = int(arrays["turn"][0]), arrays["begun"].copy()
         if self.turn < 0 or not 0 <= self.begun[1] <= self.begun[0]:
             raise ValueError(f"its sampler began {self.begun} levels in {self.turn} turns")
+        if self.in_steps:
+            self.played = arrays["played"].copy()
+            self.inside = [[bool(shifted)] for shifted in arrays["inside"]]
+            if self.played[0] < 0:
+                raise ValueError(f"its sampler played {self.played[0]} steps in shifted levels")
 
 
 class Growing:

@@ -27,10 +27,10 @@ from astray.training.checks import check_converging, check_first, check_losses
 from astray.training.config import Config
 from astray.training.fast import acceleration
 from astray.training.fast.acceleration import Loss
+from astray.training.folders import START, TEACHER, AgentFolder
 from astray.training.levels import MakeSampler
 from astray.training.log import Log
 from astray.training.ppo import Samples
-from astray.training.teacher import TEACHER
 from astray.training.trainer import Trainer
 from astray.validation import bounded, of_kind, shown
 
@@ -199,15 +199,20 @@ def checked(config: Config, network: Any, loss: Any, sampler: Any, reward: Any =
 def begin(
     config: Config, folder: Path | None, network: Any, loss: Any, sampler: Any, reward: Any = None
 ) -> Trainer:
-    """Create the trainer, in the state of the run folder's last checkpoint."""
+    """Create the trainer, as the folder's last checkpoint or else the settings' `start` has it."""
     with acceleration.torch_settings(config.threads):
         taught = folder / TEACHER if folder and config.teacher is not None else None
         trainer = Trainer(config, network, loss, sampler, taught, reward)
-        if folder:
-            with contextlib.ExitStack() as stack:
-                stack.callback(trainer.close)
+        with contextlib.ExitStack() as stack:
+            stack.callback(trainer.close)
+            if folder:
                 checkpoint.restore(folder, trainer)
-                stack.pop_all()
+            if config.start is not None and not trainer.steps:
+                path = folder / START if folder else None
+                if path is None or not path.exists():
+                    path = AgentFolder.open(config.start).weights
+                policy.load_into(trainer.network, path, config.game, trainer.architecture)
+            stack.pop_all()
     return trainer
 
 

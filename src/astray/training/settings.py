@@ -20,7 +20,7 @@ SEEDS = 2**27  # every seed has 2**36 streams of its own, and environments take 
 COUNTS = (
     "levels", "steps", "num_envs", "num_steps", "epochs", "minibatches", "scale", "width",
     "validation_every", "checkpoint_every", "threads", "microbatch", "groups", "buffer", "edits",
-    "shifted_levels",
+    "shifted_levels", "shifted_steps",
 )  # fmt: skip
 FRACTIONS = ("gamma", "lam", "reward_gamma", "fraction", "staleness", "taught")
 RATES = ("learning_rate", "lesson_rate")
@@ -36,7 +36,8 @@ RANGES = (
 SAMPLERS = ("uniform", "mixed", "growing", "plr", "accel")  # astray's own samplers
 SCORING = ("plr", "accel")  # samplers that score levels
 SAMPLED = {  # settings -> their samplers
-    "fraction": ("mixed", "growing"), "shifted_levels": ("mixed",), "replay": SCORING,
+    "fraction": ("mixed", "growing"), "replay": SCORING,
+    "shifted_levels": ("mixed",), "shifted_steps": ("mixed",),
 }  # fmt: skip
 Schedule = Literal["throughout", "early", "late", "annealed"]
 Score = Literal["regret", "max-monte-carlo", "positive-value-loss"]
@@ -68,6 +69,8 @@ class Sampling:
     schedule: Schedule = "throughout"  # Time at which shifted levels are played (mixed).
     # Total number of shifted levels begun; early and late use a fraction of the steps (mixed).
     shifted_levels: Annotated[int | None, otherwise("follows from the fraction")] = None
+    # Total number of steps in shifted levels, in the place of that of levels (mixed).
+    shifted_steps: Annotated[int | None, otherwise("follows from the fraction")] = None
     buffer: int = 4096  # Number of levels in the replay buffer (plr, accel).
     # Probability that a rollout replays levels (plr, accel).
     replay: Annotated[float | None, otherwise("1/3 for plr, 1/2 for accel")] = None

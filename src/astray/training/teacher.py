@@ -24,11 +24,10 @@ from astray.files import check_own, make_folder, read, remove_made, write_aside
 from astray.record import trusted
 from astray.training import ppo
 from astray.training.config import Config
-from astray.training.folders import CONFIG
+from astray.training.folders import CONFIG, TEACHER
 from astray.training.player import Rollout
 from astray.training.ppo import Samples, Sequences
 
-TEACHER = "teacher.safetensors"  # in the run folder of a student
 SALT = 0x5CA77E4  # salt of random places
 SURE = 0.9  # the chance that a solver gives its action; all others share what is left
 
@@ -59,12 +58,12 @@ def teaching(weights: Path, run: Path) -> Iterator[None]:
         raise
 
 
-def give(weights: Path, run: Path) -> None:
-    """Write the teacher's weights to a run folder; raise ValueError if others are there."""
-    path, data = run / TEACHER, read(weights)
+def give(weights: Path, run: Path, name: str = TEACHER) -> None:
+    """Write another agent's weights to a run folder; raise ValueError if others are there."""
+    path, data = run / name, read(weights)
     if path.exists():
         if read(path) != data:
-            raise ValueError(f"{path} must be the teacher at {weights}; it is another")
+            raise ValueError(f"{path} must be the agent at {weights}; it is another")
         return
     check_own(path)
     write_aside(path, data)
