@@ -34,8 +34,8 @@ def train_here(plan: Plan, root: Path) -> None:
         name: [run.run_folder(root, config) for config in configs]
         for name, configs in trainings.items()
     }
-    for name in sorted(trainings, key=lambda name: name in plan.teachers):  # students last
-        if name in plan.teachers:
-            run.give_teachers(plan, runs)
-        for config, folder in zip(trainings[name], runs[name], strict=True):
-            train(config, folder, progress=False)
+    for names in plan.phases():
+        run.give_weights(plan, runs, names)
+        for name in names:
+            for config, folder in zip(trainings[name], runs[name], strict=True):
+                train(config, folder, progress=False)
