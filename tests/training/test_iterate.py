@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 import astray
 from astray.analysis.adapters import from_trainer
 from astray.training import checkpoint
 from astray.training.loop import train
-from helpers.trainings import TINY, digest
+from helpers.trainings import OFF, TINY, digest, train_to_first_checkpoint
 
 LEVELS = range(200_000, 200_030)
 VARIANT = TINY.variant_for(TINY.validation)
@@ -77,6 +78,17 @@ def test_torchs_settings_are_the_callers_own_between_iterations():
     for _ in astray.iterate(replace(TINY, threads=2, steps=512)):
         assert torch.get_num_threads() == before
         assert sys.float_info.min / 2 > 0
+
+
+def test_a_training_goes_on_with_other_acceleration(tmp_path, monkeypatch):
+    plain = TINY.changed(**OFF)
+    whole = astray.train(plain, tmp_path / "whole", progress=False)
+    train_to_first_checkpoint(plain, tmp_path / "parts", monkeypatch)
+    other = TINY.changed(fused_cpu=False, groups=2)
+    parts = astray.train(other, tmp_path / "parts", progress=False)
+    kept = (load_file(path / checkpoint.AGENT) for path in (whole, parts))
+    for one, two in zip(*(weights.values() for weights in kept), strict=True):
+        assert torch.allclose(one, two, atol=1e-3)
 
 
 def test_wrong_settings_are_told_before_anything_is_written(tmp_path):

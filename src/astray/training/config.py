@@ -328,8 +328,9 @@ class Config:
         return found
 
     def identity(self) -> dict[str, Any]:
-        """Return the settings that a resumed training must share: all but device and threads."""
-        return {name: value for name, value in self.to_json().items() if name not in MACHINE}
+        """Return the settings that a resumed training must share: all but those of a machine."""
+        own = {*MACHINE, *vars(self.fast)}
+        return {name: value for name, value in self.to_json().items() if name not in own}
 
     def changed(self, **settings: Any) -> Config:
         """Return the settings with some changed, by their names in `flat`.
