@@ -25,8 +25,8 @@ from astray.record import trusted
 from astray.training import ppo
 from astray.training.config import Config
 from astray.training.folders import CONFIG, TEACHER
-from astray.training.player import Rollout
 from astray.training.ppo import Samples, Sequences
+from astray.training.rollout import Rollout
 
 SALT = 0x5CA77E4  # salt of random places
 SURE = 0.9  # the chance that a solver gives its action; all others share what is left

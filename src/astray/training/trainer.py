@@ -20,8 +20,9 @@ from astray.training.fast.acceleration import Loss
 from astray.training.fast.actor import Ahead
 from astray.training.fast.graphs import Captured
 from astray.training.levels import Growing, MakeSampler, Mixed, Sampler
-from astray.training.player import RECENT, Actor, Player, Rollout
+from astray.training.player import RECENT, Player
 from astray.training.replay import Replay
+from astray.training.rollout import Actor, Rollout
 from astray.training.settings import SAMPLERS
 from astray.training.teacher import Solver, Teacher
 from astray.training.teacher import loss as distilled

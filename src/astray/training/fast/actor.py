@@ -5,13 +5,12 @@ from collections.abc import Callable
 import torch
 
 from astray.acting import Answer, Turn
-from astray.training import player
 from astray.training.fast.graphs import Captured
-from astray.training.player import Rollout
+from astray.training.rollout import Rollout, act
 
 
 class Ahead:
-    """Actor like `player.Actor` whose `send` never waits.
+    """Actor like `rollout.Actor` whose `send` never waits.
 
     Observations go directly from the environments' memory to the rollout's buffers.
     """
@@ -41,7 +40,7 @@ class Ahead:
         self._sent[group].record()
 
     def _infer(self, noise: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        return player.act(self.network, noise, seen)
+        return act(self.network, noise, seen)
 
     def receive(self, group: int) -> Answer:
         self._sent[group].synchronize()
