@@ -35,12 +35,13 @@ from astray.cli import verbs
 from astray.envs.vector import GameVectorEnv
 from astray.experiments import catalogue
 from astray.experiments.spec import Plan
-from astray.game import Game, Variant, knobs
+from astray.game import Game, Variant
 from astray.lab.agents import Agents
 from astray.lab.export import export
 from astray.lab.serving import make_lab
 from astray.training import folders
 from astray.training.config import Config
+from astray.variant import knobs
 
 ROOT = Path(__file__).parents[1]
 SIDE = 256  # pixels of a level's picture

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import functools
-import json
 import typing
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Annotated, Any, Literal, Self
+from dataclasses import dataclass, field
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -23,8 +21,9 @@ from astray.protocols import (
     Sprites,
     Symbols,
 )
-from astray.record import check_states, record_dtype
-from astray.validation import MOST, bounded, finite, of_kind, one_of, shown
+from astray.record import check_states
+from astray.validation import finite, of_kind, one_of, shown
+from astray.variant import Variant as Variant
 
 OWN = "own"  # name of astray's own art
 Mutation = Literal["constant", "identity", "binomial"]  # kind of edits, and how often
@@ -37,137 +36,6 @@ PARTS = {
     "rules": Rules, "levels": Levels, "symbols": Symbols, "editing": Editing, "solver": Solver,
     "mutation": Mutating, "places": Places, "cells": Cells, "sprites": Sprites,
 }  # fmt: skip
-KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Variant:
-    """A distribution of levels. Each game adds its own knobs: numbers with units, and choices.
-
-    An integer may have bounds: `boxes: Annotated[int, (0, 3)]`.
-
-    Examples:
-        >>> variant = astray.games.find("maze").variant("anywhere")
-        >>> variant.with_knobs({"time_limit": 100}).time_limit
-        100
-
-    Attributes:
-        shifted: Another distribution of the same game, from which some levels come.
-
-    Raises:
-        ValueError: If a knob has another type, or is out of its bounds.
-    """
-
-    about: str
-    time_limit: int  # steps until an episode is truncated
-    shift_probability: float = 0.0  # that a level comes from `shifted`
-    shifted: Variant | None = None
-
-    def __post_init__(self) -> None:
-        self._check_kinds()
-        finite("shift_probability", self.shift_probability, 0, 1)
-        if self.shift_probability and self.shifted is None:
-            raise ValueError("shift_probability needs a `shifted` variant to shift to")
-        if self.shifted is not None and type(self.shifted) is not type(self):
-            raise ValueError("`shifted` is a variant of another game")
-        bounded("time_limit", self.time_limit, 1, MOST)
-
-    def _check_kinds(self) -> None:
-        """Raise ValueError unless each knob has its declared type, to which compiled code casts."""
-        for name, kind in knobs(type(self)).items():
-            choices, given = typing.get_args(kind), getattr(self, name)
-            if choices:
-                one_of(name, given, choices)
-            elif kind is bool:
-                if not isinstance(given, bool | np.bool_):
-                    raise ValueError(f"{name} must be a bool; got {given!r}")
-            elif kind is int:
-                bounded(name, given, *_bounds(type(self)).get(name, (-MOST, MOST)))
-            else:
-                finite(name, given)
-
-    def with_knobs(self, changes: Mapping[str, Any]) -> Self:
-        """Return the variant with some knobs changed; text is parsed as the knob's type.
-
-        The variant that it shifts to changes too, except for the knobs that make the shift.
-
-        Raises:
-            ValueError: If there is no such knob, or it cannot have the value.
-        """
-        of_kind("knobs", changes, Mapping)
-        kinds = {n: k if isinstance(k, type) else str for n, k in knobs(type(self)).items()}
-        values = {name: _as_knob(name, value, kinds) for name, value in changes.items()}
-        if self.shifted is not None:
-            try:
-                values["shifted"] = replace(self.shifted, **self.alike(values, self.shifted))
-            except ValueError:  # which matters only where levels come from it
-                if values.get("shift_probability", self.shift_probability):
-                    raise
-                values["shifted"] = None
-        return replace(self, **values)
-
-    def alike(self, changes: Mapping[str, Any], other: Variant) -> dict[str, Any]:
-        """Return those `changes` whose knobs have equal values in this variant and `other`."""
-        alike = {n: v for n, v in changes.items() if getattr(self, n) == getattr(other, n)}
-        alike.pop("shift_probability", None)  # the other has nothing of its own to shift to
-        return alike
-
-    def unlike(self, other: Variant) -> dict[str, Any]:
-        """Return the knobs whose values differ from those of `other`, of the same class."""
-        own = {name: getattr(self, name) for name in knobs(type(self))}
-        return {name: value for name, value in own.items() if value != getattr(other, name)}
-
-    def to_json(self) -> dict[str, Any]:
-        """Return all knobs, as files of settings have them."""
-        return asdict(self)
-
-    def records(self) -> np.ndarray:
-        """Return the knobs for compiled code, [2] records: of this variant and of `shifted`."""
-        kinds = knobs(type(self))
-        dtype = record_dtype([(n, KINDS.get(k, np.int64)) for n, k in kinds.items()])
-        records = np.zeros(2, dtype)
-        for record, variant in zip(records, (self, self.shifted or self), strict=True):
-            for name, kind in kinds.items():
-                record[name] = _number(getattr(variant, name), kind)
-        return records
-
-
-@functools.cache
-def knobs(variant: type[Variant]) -> Mapping[str, Any]:
-    """Return the fields of a variant that compiled code sees, with their types."""
-    hints = typing.get_type_hints(variant)
-    return {f.name: hints[f.name] for f in fields(variant) if f.name not in ("about", "shifted")}
-
-
-@functools.cache
-def _bounds(variant: type[Variant]) -> Mapping[str, tuple[int, int]]:
-    """Return the least and the largest value of knobs that have such."""
-    hints = typing.get_type_hints(variant, include_extras=True)
-    return {n: h.__metadata__[0] for n, h in hints.items() if typing.get_origin(h) is Annotated}
-
-
-def _as_knob(name: str, value: Any, kinds: Mapping[str, type]) -> Any:
-    """Return `value` converted to the type of the knob called `name`."""
-    one_of("knob", name, kinds)
-    if isinstance(value, str) and kinds[name] is not str:
-        try:
-            value = json.loads(value.lower())
-        except (json.JSONDecodeError, RecursionError):
-            raise _unlike(name, value, kinds[name]) from None
-    if type(value) is int and kinds[name] is float:
-        value = float(value)
-    if type(value) is not kinds[name]:
-        raise _unlike(name, value, kinds[name])
-    return value
-
-
-def _unlike(name: str, value: Any, kind: type) -> ValueError:
-    return ValueError(f"{name} must be of type {kind.__name__}; got {shown(value)}")
-
-
-def _number(value: Any, kind: Any) -> Any:
-    choices = typing.get_args(kind)
-    return choices.index(value) if choices else value
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ def _settings() -> dict[str, Callable[[Place], Any]]:
 def _knobs() -> dict[str, Callable[[Place], Any]]:
     """Every knob of each game's variants, of another type, set in code and by its name."""
     from astray import games
-    from astray.game import knobs
+    from astray.variant import knobs
 
     def act(variant: Any, name: str, value: Any, _: Place) -> Any:
         return variant.with_knobs({name: value})

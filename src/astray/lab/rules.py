@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from astray import grid
-from astray.game import Game, knobs
+from astray.game import Game
 from astray.games.coinrun import levels as coinrun
 from astray.games.heist import levels as heist
 from astray.games.heist.solve import hand_in
@@ -25,6 +25,7 @@ from astray.kernel.maze import margin
 from astray.lab.translate import Translation
 from astray.lab.worlds import shown_fields
 from astray.places import Placement
+from astray.variant import knobs
 
 SHARED = "rules/kernels.js"  # from the page
 DRAWN = (rng.seed_twister, rng.draw_u32)

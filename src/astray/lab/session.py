@@ -14,12 +14,13 @@ from astray import games
 from astray.analysis.critic import ask, observe
 from astray.analysis.trained import Opaque, check_network
 from astray.envs.pictures import picture
-from astray.game import Game, knobs
+from astray.game import Game
 from astray.lab import agents, goals
 from astray.lab.agents import Agents, rounded
 from astray.lab.messages import Message, number_of, read
 from astray.lab.worlds import Episode, World, play_on, read_world, snapshot
 from astray.validation import brief, one_of
+from astray.variant import knobs
 
 FORMAT = 1  # of the messages; goes up when an older page could not read them
 STEPS_AT_ONCE = 8  # of an agent's episode, before a page hears of them

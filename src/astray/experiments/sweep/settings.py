@@ -11,10 +11,10 @@ from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import LEVELS_PLAYED, shift_of
 from astray.experiments.levels import check_tests
 from astray.experiments.spec import Plan, Test
-from astray.game import knobs
 from astray.training.config import Config
 from astray.training.settings import KNOB, SEEDS, SHORT
 from astray.validation import bounded, one_of, shown
+from astray.variant import knobs
 
 MOST = 10_000  # agents of a sweep
 TRAINING, TEST = "in training", "in the test"
