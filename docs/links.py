@@ -46,7 +46,7 @@ CODE = re.compile(r"<code\b.*?</code>", re.DOTALL)
 # An option, a name with dashes or an extra, in a text and not in a tag.
 WHOLE = re.compile(rf"(?:{report.WHOLE.pattern}|\.\[[\w,]+\])(?![^<]*>)")
 # The spaces of an interval in a text, such as (1.0 to 2.0), and not in code.
-INTERVAL = re.compile(r"<code\b.*?</code>|\(-?[\d.,]+ to -?[\d.,]+\)", re.DOTALL)
+INTERVAL = re.compile(r"<code\b.*?</code>|\(-?[\d.,]+ to -?[\d.]+(?:, n = [\d,]+)?\)", re.DOTALL)
 NAMED = re.compile(r'\b(?:id|name)="([^"]+)"')
 
 

@@ -290,7 +290,11 @@ def experiment_page(name: str) -> str:
 
 def size_parts(plan: Plan) -> Iterator[str]:
     if plan.differences:
-        yield f"Other than in the paper: {plan.differences}."
+        # Those of several studies are a list, as "maze corner: 15 million steps; keys ...: ...".
+        names = "|".join(re.escape(name) for name in plan.agents)
+        several = re.split(rf"(?:^|; )(?=(?:{names}): )", plan.differences) if names else []
+        listed = "".join(f"\n\n- {one}" for one in several[1:])
+        yield f"Other than in the paper: {listed or plan.differences}."
     if plan.published:
         named = ", ".join(f"`{agent}`" for agent in plan.published.values())
         yield (
