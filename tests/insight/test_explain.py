@@ -193,6 +193,11 @@ def test_a_level_is_found_where_goals_are_counts_that_the_end_tells():
 
 def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stderr", told := io.StringIO())
+    (tmp_path / "explain.html").write_bytes(
+        explain.SIGN
+    )  # of an agent that was explained here before
+    older, mine = tmp_path / "attribution.parquet", tmp_path / "notes.txt"
+    older.write_text("its figure"), mine.write_text("mine")
     path = astray(
         "explain", "maze-corner", "--level", 200_003, "--num-levels", 60, "--out", tmp_path
     )
@@ -231,7 +236,8 @@ def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monke
     goals = pl.read_parquet(tmp_path / "goals.parquet")
     assert goals["posterior"].sum() == pytest.approx(1)
     assert (tmp_path / "field.svg").exists()
-    names = {path.name for path in tmp_path.iterdir()} - {"explain.html"}
+    assert mine.read_text() == "mine" and not older.exists()
+    names = {path.name for path in tmp_path.iterdir()} - {"explain.html", mine.name}
     assert "without-goal.svg" in names < {*explain.written(games.find("maze"))}
 
 

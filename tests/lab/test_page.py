@@ -143,6 +143,9 @@ def test_the_agent_takes_over_and_the_goal_that_it_seems_to_pursue_is_told(page)
     now, places = page.evaluate("[lab.now, lab.episode.states.map(({ x, y }) => [x, y])]")
     assert now == len(places) - 1  # its idle time is neither played nor told of
     assert page.evaluate("lab.episode.ended") or places[now - 8] == places[now]
+    marked = page.locator("[data-lab=bookmarks] button").all_text_contents()
+    most, least, *events = (int(text.split("step ")[1]) for text in marked)
+    assert max(most, least) < max(events)  # nor is it looked at for advantages
     page.locator("[data-lab=bookmarks] button").nth(1).focus()
     page.keyboard.press("Enter")
     wait(page, f"lab.now !== {now}")

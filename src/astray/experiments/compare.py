@@ -144,7 +144,9 @@ def _answer(differences: pl.DataFrame) -> str:
     """Return the verdict: the largest difference in misgeneralization that is certain."""
     rows = differences.filter("differ", outcome=MISGENERALIZED)
     if rows.is_empty():
-        return "No two of them differ for certain in how often a proxy comes first."
+        pairs = differences.select("first", "second").unique()
+        who = "They do not" if len(pairs) == 1 else "No two of them"
+        return f"{who} differ for certain in how often a proxy comes first."
     most = rows.sort(pl.col("mean").abs(), descending=True).row(0, named=True)
     more, less = (most["first"], most["second"])[:: 1 if most["mean"] > 0 else -1]
     low, high = sorted(abs(100 * most[end]) for end in ("low", "high"))

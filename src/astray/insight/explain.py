@@ -1,6 +1,7 @@
 """A page about an agent in a level: its behaviour everywhere, and what that depends on."""
 
 import functools
+import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -128,6 +129,9 @@ def explain(asked: Asked, folder: Path, heading: str, progress: bool = False) ->
             aside / PAGE, heading, [*parts, last], figures=aside, sign=WRITER, lab=asked.lab,
             answer=answer,
         )  # fmt: skip
+        older = {*written(asked.level.game)} - {*os.listdir(aside)}
+    for name in older:  # of an agent that was explained here before
+        (folder / name).unlink(missing_ok=True)
     return folder / PAGE
 
 

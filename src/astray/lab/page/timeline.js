@@ -18,8 +18,10 @@ export function showTimeline(lab) {
     .map((name) => ({ name: name.replace(/_/g, " "), step: final[name] }))
     .sort((one, two) => one.step - two.step);
   drawTimeline(canvas, { value: episode.value, advantage, events, last }, now);
-  const best = advantage.indexOf(Math.max(...advantage));
-  const worst = advantage.indexOf(Math.min(...advantage));
+  // Of the steps up to the last event, after which an agent may idle.
+  const done = advantage.slice(0, Math.max(0, ...events.map(({ step }) => step)) || last);
+  const best = done.indexOf(Math.max(...done));
+  const worst = done.indexOf(Math.min(...done));
   bookmarks(lab, [["highest advantage", best], ["lowest advantage", worst],
     ...events.slice(0, 4).map(({ name, step }) => [name, step])]);
 }
