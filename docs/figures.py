@@ -56,7 +56,7 @@ def results() -> tuple[pl.DataFrame, Figure]:
 def what_helps() -> tuple[pl.DataFrame, Figure]:
     """Draw what mice reach first, by when and how they meet distinguishing levels."""
     found: list[Row] = []
-    when = "2 % of training levels have cheese anywhere: when?"
+    when = "2 % of the steps have cheese anywhere: when?"
     for name, corner, cheese, neither in rows_of("what-helps", "Early, late, or throughout"):
         outcomes = {MISGENERALIZED: corner, INTENDED: cheese, FAILED: neither}
         found += [{"where": when, "who": name, "outcome": outcome} | rate(cell)

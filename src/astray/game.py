@@ -9,6 +9,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
+from astray.imports import guarded
 from astray.outcome import check_ends
 from astray.protocols import (
     Cells,
@@ -96,6 +97,11 @@ class Looks:
     scene_shape: Callable[[Variant, int], tuple[int, ...]]  # (variant, pixels)
     check: Callable[[np.ndarray, Variant], None] = lambda states, variant: None
     # raises ValueError if a picture for one of states [N] is missing
+
+    def pictures(self, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
+        """Return the result of `art`; raise ValueError if that fails or ends the program."""
+        with guarded(f"the art of {self.name!r}", ValueError, MemoryError, OSError):
+            return self.art(variant, pixels)
 
 
 @dataclass(frozen=True)

@@ -228,3 +228,11 @@ def test_the_first_page_of_the_lab_tells_broken_games_and_why(strangers):
     (about,) = Session(make_lab("maze-corner", {})).answers('{"id": 1, "kind": "hello"}')
     assert set(about["games"]) == set(games.OWN)
     assert all(reason in about["broken"][name] for name, reason in REASONS.items())
+
+
+def test_art_that_ends_the_program_is_told_before_anything_is_compiled():
+    maze = games.find("maze")
+    own = replace(maze.looks["own"], art=lambda variant, pixels: sys.exit(0))
+    leaves = replace(maze, name="leaves", looks={"own": own})
+    with pytest.raises(ValueError, match=r"the art of .* fails: SystemExit\(0\)"):
+        GameVectorEnv(leaves, "corner", 1)

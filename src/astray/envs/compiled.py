@@ -79,6 +79,6 @@ def _compile(game: Game, looks: Looks, run: Callable) -> None:
         np.empty(0, bool),
     )
     run(
-        states, (looks.art(variant, 1), False, pictures), (params, numbers, 0, 1, states),
+        states, (looks.pictures(variant, 1), False, pictures), (params, numbers, 0, 1, states),
         (0, numbers, numbers), (pictures, states, pictures), (np.empty(0), flags, flags), *alone(),
     )  # fmt: skip

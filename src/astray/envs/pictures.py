@@ -33,7 +33,7 @@ def picture(
     scene = np.empty((1, *looks.scene_shape(variant, pixels)), np.uint8)
     images = np.empty((len(states), pixels, pixels, 3), np.uint8)
     params, as_set = variant.records(), np.full(1, AS_SET)
-    shown = looks.art(variant, pixels), False, scene
+    shown = looks.pictures(variant, pixels), False, scene
     for k in range(len(states)):
         one = states[k : k + 1].copy().view(np.ndarray)  # may be written to
         source, seen = (params, NUMBERS, 0, 1, one[:0]), (images[k : k + 1], one, images)

@@ -137,8 +137,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _bind(self) -> None:
         """Create the parts that are not saved: pictures, compiled code, threads and array views."""
+        looks = self.game.drawn(self._shown)
+        art = looks.pictures(self.variant, 1 if self.symbolic else IMAGE)
         self._loop = compiled_loop(self.game, self._shown)
-        art = self.game.drawn(self._shown).art(self.variant, 1 if self.symbolic else IMAGE)
         self._looks = art, self.symbolic, self._scenes
         self._source = self.variant.records(), self._list, self._first, self._count, self._begins
         over = self._final_states if self._mode == SAME_STEP else self._states

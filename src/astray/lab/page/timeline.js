@@ -18,7 +18,7 @@ export function showTimeline(lab) {
     .map((name) => ({ name: name.replace(/_/g, " "), step: final[name] }))
     .sort((one, two) => one.step - two.step);
   drawTimeline(canvas, { value: episode.value, advantage, events, last }, now);
-  // Of the steps up to the last event, after which an agent may idle.
+  // An agent may idle after the last event.
   const done = advantage.slice(0, Math.max(0, ...events.map(({ step }) => step)) || last);
   const best = done.indexOf(Math.max(...done));
   const worst = done.indexOf(Math.min(...done));
