@@ -99,7 +99,7 @@ class Looks:
     # raises ValueError if a picture for one of states [N] is missing
 
     def pictures(self, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
-        """Return the result of `art`; raise ValueError if that fails or ends the program."""
+        """Return the result of `art`, of the game's own shapes; raise ValueError if it fails."""
         with guarded(f"the art of {self.name!r}", ValueError, MemoryError, OSError):
             return self.art(variant, pixels)
 

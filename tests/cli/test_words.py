@@ -234,5 +234,5 @@ def test_commands_of_pages_can_be_pasted_into_any_shell(page):
 def test_an_empty_word_is_no_default(verb, option, astray):
     more = {"compare": ["random"], "distil": ["--observation=image"]}.get(verb, [])
     told = astray(verb, "maze-corner", *more, option, "", fails=True)
-    refused = "levels must be numbers and ranges|unknown (variant|shift|layer|network) ''|got ''"
+    refused = "levels must be numbers|unknown (variant|shift|layer|network|art) ''|got ''"
     assert re.search(refused, told)

@@ -197,7 +197,8 @@ def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monke
         explain.SIGN
     )  # of an agent that was explained here before
     older, mine = tmp_path / "attribution.parquet", tmp_path / "notes.txt"
-    older.write_text("its figure"), mine.write_text("mine")
+    older.write_text("its figure")
+    mine.write_text("mine")
     path = astray(
         "explain", "maze-corner", "--level", 200_003, "--num-levels", 60, "--out", tmp_path
     )

@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from astray.agents.mlp import MLP
-from astray.training import loop, player, ppo
+from astray.training import loop, ppo, rollout
 from astray.training.config import PRESETS
 from astray.training.trainer import Trainer
 
@@ -175,13 +175,13 @@ def test_an_edit_of_the_loop_is_what_trains_by_default(edit, monkeypatch):
 
 
 def test_another_exploration_is_what_acts_by_default(monkeypatch):
-    act = player.act
+    act = rollout.act
 
     def always_the_third(*given):
         action, *rest = act(*given)
         return torch.full_like(action, 3), *rest
 
-    monkeypatch.setattr(player, "act", always_the_third)
+    monkeypatch.setattr(rollout, "act", always_the_third)
     assert (loop.collect(Trainer(CONFIG)).action == 3).all()
 
 

@@ -114,7 +114,11 @@ def check(folder: Path, config: Config) -> None:
 
 
 def check_all(runs: Mapping[Path, Config]) -> None:
-    """Raise as `claim` does if a training could not begin in its folder, before the first does."""
+    """Raise as `claim` does if a training could not begin in its folder, before the first does.
+
+    Raises:
+        NotADirectoryError: If a file is where a checkpoint must be.
+    """
     for run, config in runs.items() if parallel.first() else ():
         check_writable(run / CONFIG)
         _check_folders(run / "checkpoints", config)
