@@ -242,7 +242,7 @@ class Plan:
         return replace(config, seed=seed, teacher=self.teacher_of(name, seed))
 
     def sources(self, name: str) -> dict[str, str]:
-        """Return whose weights a name's trainings need, by the file of these."""
+        """Return the agents whose weights a name's trainings need, by the file of the weights."""
         found = {TEACHER: self.called(name)} if name in self.teachers else {}
         return found | ({START: self.starts[name]} if name in self.starts else {})
 

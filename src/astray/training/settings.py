@@ -69,7 +69,7 @@ class Sampling:
     schedule: Schedule = "throughout"  # Time at which shifted levels are played (mixed).
     # Total number of shifted levels begun; early and late use a fraction of the steps (mixed).
     shifted_levels: Annotated[int | None, otherwise("follows from the fraction")] = None
-    # Total number of steps in shifted levels, in the place of that of levels (mixed).
+    # Total number of steps played in shifted levels, instead of levels begun (mixed).
     shifted_steps: Annotated[int | None, otherwise("follows from the fraction")] = None
     buffer: int = 4096  # Number of levels in the replay buffer (plr, accel).
     # Probability that a rollout replays levels (plr, accel).
