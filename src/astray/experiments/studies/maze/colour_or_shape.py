@@ -31,7 +31,8 @@ PANELS = {
     "keeps_colour": f"go to the {COLOUR} object,\nof those that go to either",
     "neither": "go to neither\n",
 }
-PAIRED = 1000  # levels, at most, in which every pair is offered
+# Levels, at most, in which every pair is offered: mice that see pictures are slower.
+PAIRED = {"symbolic": 1000, "image": 200}
 
 
 def find(work: Work) -> Findings:
@@ -126,7 +127,8 @@ def offer_pairs(work: Work) -> pl.DataFrame:
     test = list(work.plan.tests.values())[-1]
     game, shift = work.plan.game, load_shift(work.plan.game, test.shift)
     apart = work.episodes.filter("distinguishing", pl.col("variant") == test.variant)
-    levels = apart["level"].unique(maintain_order=True).to_numpy()[:PAIRED]
+    levels = apart["level"].unique(maintain_order=True).to_numpy()
+    levels = levels[: PAIRED[work.plan.config.observation]]
     parts = []
     for run in (run for runs in work.runs.values() for run in runs):
         agent, config = open_run(run)
