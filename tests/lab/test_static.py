@@ -194,6 +194,21 @@ def test_the_posterior_is_that_of_python(page):
     assert here["agent"] is None
 
 
+RING = "\n".join(["G......", *[".#####."] * 5, "@......"])  # two ways to the corner, one past G
+
+
+def test_a_level_distinguishes_the_goals_where_it_does_in_python(page):
+    def asked(level):
+        here, there = both(page, kind="distinguishes", **MAZE, level=level)
+        return here["distinguishes"], there["distinguishes"]
+
+    told = [asked(number) for number in range(8)]
+    assert all(here is there for here, there in told) and len({*told}) == 2
+    assert asked(RING.replace("G.", "G#")) == (True, True)
+    assert asked(RING[:-1] + "#") == (False, False)
+    assert asked(RING)[0] is None  # as Python's walk may take either
+
+
 def replayed(number):
     """What the agent does in a level."""
     parts = Session(make_lab("maze-corner", {})).answers(

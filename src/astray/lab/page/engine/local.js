@@ -6,10 +6,10 @@ import { posterior } from "../agent/agency.js";
 import { readNetwork, softmax } from "../agent/network.js";
 import { noise, sample } from "../agent/noise.js";
 import { readTable } from "../agent/table.js";
-import { NEVER } from "../rules/common.js";
+import { NEVER, WALL } from "../rules/common.js";
 import { goals } from "../rules/constants.js";
 import { effects, played, snapshot, take, told } from "./episodes.js";
-import { firstGoal, namedPlaces } from "./goals.js";
+import { firstGoal, namedPlaces, waysPart } from "./goals.js";
 import { read, splayed, textOf, whole } from "./levels.js";
 
 const AT_ONCE = 16; // places that are computed before the page may draw
@@ -192,6 +192,17 @@ export class LocalEngine {
     const found = Object.values(shifts).find((s) => s.train === variant || s.test === variant);
     if (!named && !found) throw new Error(`${game} must have a shift between goals for this`);
     return named ?? found;
+  }
+
+  // Known of mazes alone, whose goals are cells that the agent walks to; null elsewhere.
+  async *distinguishes(message) {
+    const { level, s, rules } = await this.world(message);
+    const places = rules.target ? {} : namedPlaces(this.about.games[message.game], this.shift(message), s, rules);
+    const { intended, proxies } = this.shift(message);
+    const told = [intended, ...proxies].map((goal) => places[goal]);
+    const open = level.grid.map((row) => row.map((what) => what !== WALL));
+    const known = proxies.length && told.every((place) => place);
+    yield { distinguishes: known ? waysPart(open, [s.x, s.y].map(Math.floor), told) : null };
   }
 
   async *splay(message) {
