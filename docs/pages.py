@@ -399,7 +399,9 @@ def face() -> str:
     for name, where in sorted(astray.FACE.items(), key=lambda item: item[0].lower()):
         there = getattr(astray, name)
         path, about = where.replace(":", "."), ""
-        if callable(there):  # which may be written elsewhere
+        if isinstance(there, dict):
+            about = "Settings by name: " + ", ".join(map(code, there))
+        elif callable(there):  # which may be written elsewhere
             path, about = f"{there.__module__}.{name}", inspect.getdoc(there) or ""
         rows.append((f"[`astray.{name}`][{path}]", about.partition("\n")[0]))
     return table(("name", "purpose"), rows)
