@@ -188,6 +188,11 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: Episode(SMALL, by_hand([0.0, 1.0], [3])), "trajectory must be integers"),
         (lambda: Episode(SMALL, by_hand([0, 1], [4])), "actions of a trajectory must be a list of"),
         (lambda: Episode(SMALL, by_hand([0, 1], [3, 3])), "cells must be 3, one more than actions"),
+        (lambda: Episode(SMALL, Trajectory([0, 1], [3])), "must be a ndarray; got [0, 1]"),  # pyright: ignore
+        (lambda: Episode(SMALL, Trajectory(np.array([0, 1], np.uint64), np.array([3]))),
+         "from 0 to 7; got array([0, 1], dtype=uint64)"),
+        (lambda: Episode(SMALL, Trajectory(np.array([0]), np.array([]))),
+         "from 0 to 3; got array([], dtype=float64)"),
         (lambda: Episode(SMALL, by_hand([0, 1, 4], [3, 3])), "step 1 does not lead to the cell"),
         (lambda: Episode(SMALL, [0, 1]), "a trajectory must be a Trajectory"),  # pyright: ignore
         (lambda: rule(200_000), "can be measured together; got 200000"),

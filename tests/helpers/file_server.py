@@ -31,6 +31,8 @@ class Handler(BaseHTTPRequestHandler):
         data, asked = self.server.data, self.headers["Range"]
         self.server.asked.append(asked)
         begin = int(asked[len("bytes=") : -1]) if asked and self.server.ranges else 0
+        if begin and begin >= len(data):
+            return self.send_error(416)
         self.send_response(206 if begin else 200)
         if begin:
             self.send_header("Content-Range", f"bytes {begin}-{len(data) - 1}/{len(data)}")

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -147,6 +148,9 @@ def test_a_file_that_does_not_say_needs_to_be_told(astray, home, tmp_path, mouse
     assert "a variant of maze must be given" in said
     said = astray("import", file, "--as", "m", "--game", "maze", "--variant", "easy", fails=True)
     assert "unknown variant 'easy' of maze" in said
+    for option in ("--as", "--game"):
+        said = astray("import", file, "--as", "m", *MAZE, option, "", fails=True)
+        assert f"{option} needs a value; got ''" in said
     assert not (home / "m").exists()
 
 
@@ -164,6 +168,13 @@ def test_an_agent_of_another_game_of_procgen_is_refused(home, tmp_path):
     (tmp_path / "agent.jd").write_bytes(joblib_bytes(clarity(env_name="bigfish")[0]))
     with pytest.raises(ValueError, match=r"trained in .bigfish hard. of Procgen.*are: coinrun"):
         import_agent(tmp_path / "agent.jd", "fish", Known())
+
+
+@pytest.mark.parametrize("option", ["--game=", "--variant=", "--art="])
+def test_an_empty_word_is_not_what_the_file_says(astray, home, tmp_path, runner, option):
+    (tmp_path / "agent.jd").write_bytes(runner)
+    told = astray("import", tmp_path / "agent.jd", "--as", "m", option, fails=True)
+    assert re.search("needs a value; got ''|a variant must be given|unknown art ''", told)
 
 
 def test_what_is_said_of_an_agent_stays_in_its_cell(home, tmp_path, mouse):

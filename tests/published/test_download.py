@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -44,6 +45,18 @@ def test_a_file_can_be_pinned_by_the_id_that_git_gives_it(serve, tmp_path):
     with pytest.raises(ValueError, match=f"its git blob id is [0-9a-f]{{40}}, not {BLOB}"):
         download(serve(HELLO + b"!").address, tmp_path / "b", size=None, digest=BLOB)
     assert not (tmp_path / "b").exists()
+
+
+def test_what_was_whole_when_it_was_stopped_is_taken_and_what_is_more_is_removed(serve, tmp_path):
+    address, part = serve(HELLO).address, tmp_path / "a.part"
+    part.write_bytes(HELLO)
+    download(address, tmp_path / "a", size=None, digest=BLOB)
+    assert left(tmp_path) == ["a"]
+    part.write_bytes(HELLO + b"more")
+    (tmp_path / "a").unlink()
+    with pytest.raises(ValueError, match="is not the file that was published"):
+        download(address, tmp_path / "a", size=None, digest=BLOB)
+    assert not left(tmp_path)
 
 
 def left(folder):
@@ -86,13 +99,17 @@ def test_what_is_checked_is_put_in_place_whatever_is_written_meanwhile(
     assert to.read_bytes() == DATA
 
 
-def test_a_download_that_the_disk_has_no_room_for_leaves_nothing(serve, tmp_path, monkeypatch):
-    class Full(io.FileIO):
-        def write(self, data):
-            super().write(data[:9])
-            raise OSError(errno.ENOSPC, "No space left on device")
+class Full(io.FileIO):
+    def write(self, data):
+        super().write(data[:9])
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(downloads, "open", Full, raising=False)
+
+@pytest.mark.parametrize("full", [Full, Mock(side_effect=OSError(errno.ENOSPC, "no inode"))])
+def test_a_download_that_the_disk_has_no_room_for_leaves_nothing(
+    full, serve, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(downloads, "open", full, raising=False)
     to = tmp_path / "agents" / "agent.jd"
     with pytest.raises(
         OSError, match=r"No space left on device; nothing was written: .*agent\.jd'"

@@ -180,10 +180,12 @@ class World:
     def check(self, trajectory: Trajectory) -> None:
         """Raise ValueError unless `trajectory` is possible in this world."""
         of_kind("a trajectory", trajectory, Trajectory)
-        cells = integers(trajectory.cells, "cells of a trajectory")
-        actions = integers(trajectory.actions, "actions of a trajectory")
+        cells, actions = trajectory.cells, trajectory.actions
         for name, given, count in (("cells", cells, len(self)), ("actions", actions, len(ACTIONS))):
-            if given.ndim != 1 or ((given < 0) | (given >= count)).any():
+            of_kind(f"{name} of a trajectory", given, np.ndarray)
+            integers(given, f"{name} of a trajectory")
+            are_indices = given.ndim == 1 and np.can_cast(given.dtype, np.int64)
+            if not are_indices or ((given < 0) | (given >= count)).any():
                 there = f"a list of numbers from 0 to {count - 1}"
                 raise ValueError(f"{name} of a trajectory must be {there}; got {shown(given)}")
         if len(cells) != len(actions) + 1:

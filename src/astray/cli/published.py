@@ -50,7 +50,7 @@ def import_(
     given = {"game": game, "variant": variant, "art": art, "actions": mode,
              "source": source, "licence": licence}  # fmt: skip
     known = replace(
-        entry.known if entry else Known(), **{key: value for key, value in given.items() if value}
+        entry.known if entry else Known(), **{k: v for k, v in given.items() if v is not None}
     )
     print(import_agent(file, name, known))
 

@@ -130,7 +130,7 @@ def pull(
         OSError: If the Hub cannot be reached.
     """
     _check_name(repository, revision)
-    name = name or _slug(repository)
+    name = _slug(repository) if name is None else name
     home = folders.home()
     folders.check_new(name)
     api = _api(endpoint)

@@ -59,7 +59,7 @@ def download(address: str, to: Path, *, size: int | None, digest: str | None) ->
             _fetch(address, part, size or LARGEST)
         except (OSError, ValueError, http.client.HTTPException) as error:  # also of addresses
             if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
-                part.unlink()  # else it would hold all the room that there is
+                part.unlink(missing_ok=True)  # else it would hold all the room that there is
                 told = f"{os.strerror(errno.ENOSPC)}; nothing was written"
                 raise OSError(errno.ENOSPC, told, str(to)) from error
             arrived = part.stat().st_size if part.exists() else 0
@@ -94,6 +94,8 @@ def _fetch(address: str, part: Path, most: int) -> None:
         request.add_header("Range", f"bytes={begun}-")
     with _answer(request) as answer:
         _check_address(answer.geturl())  # where it was sent on to
+        if answer.status == http.client.REQUESTED_RANGE_NOT_SATISFIABLE:
+            return  # the part is whole
         goes_on = answer.status == http.client.PARTIAL_CONTENT
         if goes_on and not (answer.headers["Content-Range"] or "").startswith(f"bytes {begun}-"):
             raise OSError(f"it answers with another part, {answer.headers['Content-Range']}")
@@ -140,6 +142,9 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
         def http_error_302(self, req: Any, fp: Any, code: Any, msg: Any, headers: Any) -> Any:
             with fp:  # which would stay open where it sends on to no address
                 return super().http_error_302(req, fp, code, msg, headers)
+
+        def http_error_416(self, req: Any, fp: Any, *_: Any) -> Any:
+            return fp if req.has_header("Range") else None  # None: it is raised
 
         http_error_301 = http_error_303 = http_error_307 = http_error_308 = http_error_302
 

@@ -120,7 +120,7 @@ def write_card(run: Path, name: str) -> None:
 def _config(file: Path, found: Imported, known: Known) -> tuple[Config, list[str]]:
     """Return the settings of its training, and which of them are known."""
     game, variant = known.game, known.variant
-    if found.world and not game and not variant:
+    if found.world and game is None and variant is None:
         if found.world not in games.PROCGEN:
             there = ", ".join(" ".join(world) for world in games.PROCGEN)
             raise ValueError(
