@@ -16,6 +16,8 @@ WIDTHS = {"laptop": (1280, 800), "tablet": (820, 1100), "phone": (390, 780)}
         (("agent=maze-corner", "agent=constructor"), "", "'constructor' is not in this lab; no"),
         (("agent=maze-corner", "agent=coin-end"), "", "'coin-end' plays coinrun, not maze"),
         (("game=maze", "game=chess"), "", "This lab has no game 'chess'."),
+        (("game=maze&", ""), "", "This lab has no game ''."),
+        (("level=17", "level="), "maze-corner", "from 0 to 2147483646; the link has ''"),
         (("variant=anywhere-small", "variant=nope"), "maze-corner", "no variant 'nope' of maze"),
         (("level=17", "level=abc"), "maze-corner", "from 0 to 2147483646; the link has 'abc'"),
         (("agent=maze-corner", "agent="), "", ""),

@@ -10,8 +10,8 @@ const LONGEST = 200_000; // characters of a level in an address
 export async function fromLink(hash, about) {
   const words = new URLSearchParams(hash.slice(1));
   const game = words.get("game");
-  if (game === null) return {};
-  if (!Object.hasOwn(about.games, game)) return { agent: "", wrong: `This lab has no game '${game}'.` };
+  if (!["game", "variant", "agent", "level", "drawn"].some((name) => words.has(name))) return {};
+  if (!Object.hasOwn(about.games, game)) return { agent: "", wrong: `This lab has no game '${game ?? ""}'.` };
   const wrong = [];
   const agent = agentOf(words.get("agent"), game, about, wrong);
   const { variants } = about.games[game];
@@ -20,9 +20,9 @@ export async function fromLink(hash, about) {
     if (variant !== null) wrong.push(`This lab has no variant '${variant}' of ${game}.`);
     variant = about.agents[agent]?.test ?? Object.keys(variants)[0];
   }
-  const number = words.get("level") ?? 0;
+  const number = words.get("level") ?? "0";
   let level = Number(number);
-  if (!(Number.isInteger(level) && level >= 0 && level < levels.MOST)) {
+  if (!(/^\d+$/.test(number) && level < levels.MOST)) {
     wrong.push(`A level must be a number from 0 to ${levels.MOST - 1}; the link has '${number}'.`);
     level = 0;
   }
