@@ -1,5 +1,6 @@
 """Compiled code is of the functions that it is asked for, as they are."""
 
+import ctypes
 import importlib
 import json
 import os
@@ -15,7 +16,7 @@ import astray
 from astray.envs import loops
 from astray.games import maze
 from astray.games.coinrun import rules as others
-from astray.kernel.jit import code_digest, specialise
+from astray.kernel.jit import code_digest, one_at_a_time, specialise
 from helpers.processes import environment
 
 ROOM = Path(__file__).parents[2] / "examples/open-room/src"
@@ -194,3 +195,15 @@ def test_games_that_differ_in_a_function_are_played_by_their_own(tmp_path):
         )
         assert done.returncode == 0, done.stderr
         assert done.stdout.split() == paid
+
+
+def test_an_interrupt_that_python_ignores_amid_llvm_ends_the_compiling():
+    @ctypes.CFUNCTYPE(None)
+    def called():  # by LLVM, once a module is compiled: an interrupt had to wait until then
+        raise KeyboardInterrupt
+
+    hook = sys.unraisablehook
+    with pytest.raises(KeyboardInterrupt), one_at_a_time():
+        called()
+        raise RuntimeError("numba lacks what it was not told of")
+    assert sys.unraisablehook is hook

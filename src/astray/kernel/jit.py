@@ -4,6 +4,7 @@ import contextlib
 import functools
 import hashlib
 import inspect
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -209,7 +210,22 @@ def one_at_a_time(label: str = "") -> Iterator[None]:
     Args:
         label: Name of the specialised code; others do not wait.
     """
+    interrupts: list[BaseException] = []
+    tell = sys.unraisablehook
+
+    def note(what: Any) -> None:
+        if isinstance(what.exc_value, KeyboardInterrupt):
+            interrupts.append(what.exc_value)
+        else:
+            tell(what)
+
     with held(code_folder(), f"compile-{label}.lock" if label else LOCK) as is_held:
         if not is_held:
             Stored.writes = False
-        yield
+        sys.unraisablehook = note
+        try:
+            yield
+        finally:
+            sys.unraisablehook = tell
+            if interrupts:  # came while LLVM called Python, which only tells of it and goes on
+                raise interrupts[0]
