@@ -3,6 +3,7 @@
 import codecs
 import itertools
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from astray.game import Game, Variant
 from astray.level import Level
 from astray.validation import of_kind
 
+SPACE = re.compile(r"\s*")
 COMMENT = ";"  # prefix of comment lines in drawings
 LARGEST_FILE = 2**26  # bytes; a level as JSON has about 2,000
 
@@ -66,12 +68,11 @@ def _read_folder(path: Path, game: Game, variant: Variant, solvable: bool) -> di
 
 def _json_values(text: str) -> list[Any]:
     """Parse concatenated JSON values; the items of a list count as values."""
-    decoder, found = json.JSONDecoder(), []
-    text = text.lstrip()
-    while text:
-        value, end = decoder.raw_decode(text)
+    decoder, found, at = json.JSONDecoder(), [], 0
+    text = text.strip()
+    while at < len(text):  # not text[at:], which copies the rest for each value
+        value, at = decoder.raw_decode(text, SPACE.match(text, at).end())  # pyright: ignore
         found += value if isinstance(value, list) else [value]
-        text = text[end:].lstrip()
     return found
 
 

@@ -1,6 +1,7 @@
 """Levels as data, of every game: written, read back, edited, refused."""
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -208,6 +209,15 @@ def test_files_and_folders_of_levels_are_read(game, tmp_path):
     (tmp_path / "deep.json").write_text("[" * 100_000)
     with pytest.raises(ValueError, match=r"deep\.json"):
         read_levels(tmp_path / "deep.json", made, kind)
+
+
+def test_a_file_of_many_values_is_read_in_time_of_its_length(tmp_path):
+    maze, path = games.find("maze"), tmp_path / "many.jsonl"
+    path.write_text("1 " * 250_000)
+    begun = time.process_time()
+    with pytest.raises(ValueError, match="a level must be an object"):
+        read_levels(path, maze, maze.variant("corner"))
+    assert time.process_time() - begun < 1.5  # of its square: 3 s, and hours for 100 times as many
 
 
 @pytest.mark.parametrize(
