@@ -152,6 +152,11 @@ def test_a_ruined_report_that_results_stand_beside_is_told_before_the_work(tmp_p
         run.reproduce(study, "published", tmp_path)
 
 
+def test_no_worker_is_told_before_training(tmp_path):
+    with pytest.raises(ValueError, match=r"workers must be an integer from 1 to \d+; got 0"):
+        run.reproduce(experiment(plan()), "smoke", tmp_path, workers=0)
+
+
 def test_a_package_that_findings_need_is_missed_before_training(tmp_path):
     with pytest.raises(ImportError, match=r"Early. needs no_such: pip install .\.\[insight\]"):
         run.reproduce(experiment(plan(), needs={"no_such": "insight"}), "smoke", tmp_path)

@@ -209,6 +209,8 @@ def test_a_test_that_the_agent_cannot_see_is_refused_before_the_training_variant
     monkeypatch.setattr(keep, "evaluate_runs", noted)
     with pytest.raises(ValueError, match="the agent sees observations of shape"):
         keep.keep(run, "mouse", shift="dish-small", folder=tmp_path, levels=4)
+    with pytest.raises(ValueError, match="unknown shift '' of maze"):
+        keep.keep(run, "mouse", shift="", folder=tmp_path, levels=4)
     assert played == [load_shift("maze", "dish-small").test] and not list(tmp_path.iterdir())
 
 

@@ -66,7 +66,8 @@ def keep(
         raise ValueError(
             f"the agent is {size / 1e6:.1f} MB; a pretrained one is at most {largest / 1e6:g} MB"
         )
-    source, named = AgentFolder.of(agent.path), shift or shift_of(config)
+    source = AgentFolder.of(agent.path)
+    named = shift_of(config) if shift is None else shift
     if not (source.path / METRICS).exists():
         raise ValueError(f"{run} cannot be kept: it has no {METRICS}, for its curve")
     with made(folder, name) as aside:

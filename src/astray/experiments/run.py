@@ -43,7 +43,7 @@ from astray.training.folders import AgentFolder
 from astray.training.loop import begin, checked
 from astray.training.teacher import give
 from astray.training.track import check_installed
-from astray.validation import brief, one_of
+from astray.validation import MOST, bounded, brief, one_of
 
 ALL = "all"  # experiments of a size
 PLAN = "plan.json"  # in a report's folder, which is known by it
@@ -145,6 +145,8 @@ def train_agents(
 
     Published agents must be present, because nothing is downloaded without request.
     """
+    if workers is not None:
+        bounded("workers", workers, 1, MOST)
     runs = {name: [published_run(agent)] for name, agent in plan.published.items()}
     trainings = plan.trainings()
     runs |= {name: [run_folder(root, one) for one in its] for name, its in trainings.items()}

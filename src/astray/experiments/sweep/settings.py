@@ -72,7 +72,7 @@ class Sweep:
         return {cell: self._plan(cell, config) for cell, config in self.cells().items()}
 
     def _plan(self, cell: Cell, config: Config) -> Plan:
-        shift = self.shift or shift_of(config)
+        shift = shift_of(config) if self.shift is None else self.shift
         test = load_shift(config.find_game(), shift).test
         return Plan(
             agents={", ".join(map(str, cell)): config},
