@@ -24,6 +24,16 @@ from astray.outcome import FAILED, INTENDED, MISGENERALIZED
 FOLDER = Path(__file__).parent
 RATE = re.compile(r"(-?[\d.]+)(?: %)?(?: \((-?[\d.]+) to (-?[\d.]+)\))?")
 NUMBERS = "Numbers"  # key of a figure's data in its file
+DIED = "died"  # an end of CoinRun
+# Title of each table of the paper's own worlds, and what its last column counts.
+OF_PAPER = {
+    "The paper's own mazes": ("Three mice in the paper's mazes", FAILED),
+    "The paper's own CoinRun": ("Three runners in the paper's CoinRun", DIED),
+    "With random coins in 2 % of the levels": (
+        "Three that saw the coin elsewhere in 2 % of training levels",
+        DIED,
+    ),
+}
 Row = dict[str, Any]
 
 
@@ -42,23 +52,12 @@ def rate(cell: str, rate: float = 100) -> Row:
     return {"mean": mean, "low": low, "high": high}
 
 
-DIED = "died"
-PAPERS = {
-    "The paper's own mazes": ("Three mice in the paper's mazes", FAILED),
-    "The paper's own CoinRun": ("Three runners in the paper's CoinRun", DIED),
-    "With random coins in 2 % of the levels": (
-        "Three that saw the coin elsewhere in 2 % of training levels",
-        DIED,
-    ),
-}
-
-
 def results() -> tuple[pl.DataFrame, Figure]:
     """Draw the goals that agents of the paper's own worlds reach first."""
     data = pl.DataFrame([
         {"who": levels.removeprefix("of these, ").split(", ")[0], "where": where}
         | {"outcome": outcome} | rate(cell)
-        for heading, (where, end) in PAPERS.items()
+        for heading, (where, end) in OF_PAPER.items()
         for levels, *cells in rows_of("results", heading)
         if "under any number" not in levels
         for outcome, cell in zip((INTENDED, MISGENERALIZED, end), cells, strict=True)
