@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numba
@@ -207,3 +208,12 @@ def test_an_interrupt_that_python_ignores_amid_llvm_ends_the_compiling():
         called()
         raise RuntimeError("numba lacks what it was not told of")
     assert sys.unraisablehook is hook
+
+
+def test_a_thread_that_compiles_leaves_the_hook_of_all_threads():
+    def seen():
+        with one_at_a_time("other"):
+            return sys.unraisablehook
+
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(seen).result() is sys.unraisablehook

@@ -5,6 +5,7 @@ import functools
 import hashlib
 import inspect
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -222,10 +223,13 @@ def one_at_a_time(label: str = "") -> Iterator[None]:
     with held(code_folder(), f"compile-{label}.lock" if label else LOCK) as is_held:
         if not is_held:
             Stored.writes = False
-        sys.unraisablehook = note
+        interruptible = threading.current_thread() is threading.main_thread()
+        if interruptible:  # no other thread gets Ctrl+C, and one hook is for all
+            sys.unraisablehook = note
         try:
             yield
         finally:
-            sys.unraisablehook = tell
+            if interruptible:
+                sys.unraisablehook = tell
             if interrupts:  # came while LLVM called Python, which only tells of it and goes on
                 raise interrupts[0]
