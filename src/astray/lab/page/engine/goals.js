@@ -33,14 +33,15 @@ export function firstGoal(s, shift, events) {
 }
 
 // Whether no shortest way over `open` cells [y][x] to the first of `places` passes another, and none
-// to these passes the first; null if a way to one does and another does not.
+// to these passes the first; null if a way to one does and another does not,
+// or if one cannot be reached.
 export function waysPart(open, start, [goal, ...others]) {
   const found = others.flatMap((other) => [passes(goal, other), passes(other, goal)]);
   return found.includes(true) ? false : found.includes(null) ? null : true;
 
   function passes(to, by) {
     const [direct, first, rest] = [[start, to], [start, by], [by, to]].map(([a, b]) => steps(open, a, b));
-    if (direct < 0 || first < 0) throw new Error(`(${direct < 0 ? to : by}) cannot be reached`);
+    if (direct < 0 || first < 0) return null;
     if (first + rest > direct) return false;
     const without = open.map((row, y) => row.map((free, x) => free && String([x, y]) !== String(by)));
     return first === 0 || rest === 0 || steps(without, start, to) !== direct || null;

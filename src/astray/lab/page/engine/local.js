@@ -197,11 +197,11 @@ export class LocalEngine {
   // Known of mazes alone, whose goals are cells that the agent walks to; null elsewhere.
   async *distinguishes(message) {
     const { level, s, rules } = await this.world(message);
-    const places = rules.target ? {} : namedPlaces(this.about.games[message.game], this.shift(message), s, rules);
-    const { intended, proxies } = this.shift(message);
-    const told = [intended, ...proxies].map((goal) => places[goal]);
+    const shift = this.shift(message);
+    const places = rules.target ? {} : namedPlaces(this.about.games[message.game], shift, s, rules);
+    const told = [shift.intended, ...shift.proxies].map((goal) => places[goal]);
     const open = level.grid.map((row) => row.map((what) => what !== WALL));
-    const known = proxies.length && told.every((place) => place);
+    const known = shift.proxies.length && told.every((place) => place);
     yield { distinguishes: known ? waysPart(open, [s.x, s.y].map(Math.floor), told) : null };
   }
 
