@@ -142,8 +142,7 @@ def main() -> None:
         with Image.open(path) as image:
             print(f"{path.name}: {image.width} x {image.height}")
     with matplotlib.rc_context(STYLE):
-        first_look().savefig(path := FOLDER / "first-look-inside.png")
-    Image.open(path).convert("RGB").quantize().save(path, optimize=True)
+        first_look().savefig(FOLDER / "first-look-inside.png")
 
 
 if __name__ == "__main__":

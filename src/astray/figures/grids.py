@@ -88,6 +88,7 @@ class Picture:
         colours: matplotlib's colour map, or its name.
         label: Label of the colour bar; empty for no bar.
         opacity: Opacity of the colours: a number, or [256] from the lowest colour to the highest.
+        front: [H, W, 4] uint8 of what is drawn between colours and arrows, with its opacity.
         arrows: Cells [N, 2] and arrows [N, 2] from their middles, at most a cell long.
         way: [N, 2] cells in order.
         marks: Colour of marked cells.
@@ -103,6 +104,7 @@ class Picture:
     colours: str | Colormap = "viridis"
     label: str = ""
     opacity: Any = 0.62
+    front: np.ndarray | None = None
     arrows: tuple[np.ndarray, np.ndarray] | None = None
     way: np.ndarray | None = None
     marks: Mapping[Any, str] = field(default_factory=dict)
@@ -153,6 +155,8 @@ def _show(figure: Figure, axes: Any, one: Picture) -> None:
         if one.label:
             bar = figure.colorbar(shaded, ax=axes, shrink=0.82, label=one.label, pad=0.02)
             bar.ax.set_facecolor(_ground(one))  # as below the map, as colours let it through
+    if one.front is not None:
+        axes.imshow(one.front, extent=extent, interpolation="lanczos")
     if one.arrows is not None:
         cells, arrows = one.arrows
         x, y = (cells + 0.5).T - 0.45 * arrows.T

@@ -11,7 +11,7 @@ from astray.envs.pictures import picture
 from astray.figures.grids import Picture, images
 from astray.figures.style import WIDTH, save
 from astray.game import OWN
-from astray.insight.fields import Change, Field
+from astray.insight.fields import Change, Field, states_at
 from astray.insight.interventions import sees_world
 from astray.level import EMPTY, Level
 from astray.validation import of_kind
@@ -87,8 +87,8 @@ def heat_map(level: Level, heat: Mapping[Any, float], *, art: str = OWN, **how: 
     grid[cells[:, 1], cells[:, 0]] = list(heat.values())
     window = None
     if sees_world(level.variant):
-        state = np.array([level.state(solvable=False)], level.game.state)
-        image = picture(level.game, level.variant, state, PIXELS, art)[0]
+        states = states_at(level, [level.agent, *(one for one in heat if one != level.agent)][:2])
+        image, how["front"] = _agent(level, picture(level.game, level.variant, states, PIXELS, art))
         image = (255 * VEIL + (1 - VEIL) * image).astype(np.uint8)
     else:
         legend = level.game.editing.LEGEND
@@ -104,6 +104,21 @@ def heat_map(level: Level, heat: Mapping[Any, float], *, art: str = OWN, **how: 
         }
         window = max(left, 0), min(right, width), max(low, 0), min(high, height)
     return Picture(image=image, heat=grid[::-1], window=window, **how)
+
+
+def _agent(level: Level, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a level's picture without its agent, and the agent alone [H, W, 4] uint8.
+
+    The second of the two pictures `drawn` has the agent in another cell.
+    """
+    (x, y), (rows, columns) = level.agent, level.cells.shape
+    height, width = drawn.shape[1] / rows, drawn.shape[2] / columns
+    top, left = (rows - y - 1) * height, x * width
+    cell = slice(round(top), round(top + height)), slice(round(left), round(left + width))
+    world, agent = drawn[0].copy(), np.zeros((*drawn.shape[1:3], 4), np.uint8)
+    world[cell] = drawn[-1][cell]
+    agent[cell] = np.insert(drawn[0], 3, 255 * (drawn[0] != drawn[-1]).any(-1), axis=-1)[cell]
+    return world, agent
 
 
 def _check_any(panels: Mapping[str, Field | Change]) -> None:

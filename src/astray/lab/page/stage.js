@@ -5,6 +5,7 @@ import { goalColours, heat, themed } from "./draw/colours.js";
 import { Brush } from "./games/common.js";
 
 const TALLEST = 0.66; // of the window's height
+const MARGINS = 26; // pixels above, between and below a small lab's board and buttons
 const CLOSE = [19, 13]; // cells of a close-up
 const ARROW = "#1d2b36";
 const OTHER = "#b5446e"; // arrows of what is compared with
@@ -51,7 +52,9 @@ export class Stage {
   #fit() {
     const { left, low, columns, rows } = this.frame;
     const room = this.lab.part("board").parentElement.clientWidth;
-    const tall = Math.max(260, TALLEST * globalThis.innerHeight);
+    const tall = Math.max(260, this.lab.root.classList.contains("small")
+      ? globalThis.innerHeight - this.lab.root.querySelector(".player").offsetHeight - MARGINS
+      : TALLEST * globalThis.innerHeight);
     const cell = Math.max(5, Math.min(room / columns, tall / rows));
     const ratio = globalThis.devicePixelRatio || 1;
     const [width, height] = [Math.floor(cell * columns), Math.floor(cell * rows)];
