@@ -1,7 +1,9 @@
 """Run folders that are shared, closed or on a full disk."""
 
 import os
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -130,3 +132,30 @@ def test_an_agent_whose_file_is_gone_is_told_from_others_all_the_same(tmp_path, 
     monkeypatch.setattr(runs, "open_run", lambda *_: opened)
     with pytest.raises(ValueError, match="are the same agent"):
         runs.evaluate_runs([tmp_path / "run", tmp_path / "again"], np.arange(2))
+
+
+def test_a_home_folder_of_another_user_has_no_agents(monkeypatch):
+    def closed(*_):
+        raise PermissionError("closed")
+
+    monkeypatch.setenv("ASTRAY_AGENTS", "/root/agents")
+    shut = {folders.home()}
+    real = Path.glob
+    monkeypatch.setattr(
+        Path, "glob", lambda path, *how: (closed if path in shut else real)(path, *how)
+    )
+    assert folders.imported() == [] and "maze-corner" in folders.names()
+    assert folders.AgentFolder.open("maze-corner").weights.is_file()
+
+
+def test_a_file_that_shrinks_does_not_kill_who_has_read_it(tmp_path):
+    shutil.copytree(folders.find("maze-corner"), tmp_path / "mouse")
+    weights = folders.AgentFolder.open(tmp_path / "mouse").weights
+    program = (
+        f"import os\nfrom pathlib import Path\nfrom astray.agents import policy\n"
+        f"tensors, _ = policy.read_tensors(Path({str(weights)!r}), 'maze')\n"
+        f"os.truncate({str(weights)!r}, 9)\n"
+        "print(sum(float(one.sum()) for one in tensors.values()) != 0)"
+    )
+    code, out, err = begin(program, tmp_path).ended()
+    assert code == 0 and "True" in out, err

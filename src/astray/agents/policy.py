@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
+from safetensors.torch import load as from_bytes
 from safetensors.torch import save
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
@@ -22,7 +23,7 @@ from astray.agents.mlp import MLP
 from astray.agents.names import check_network, depth_and_ticks, is_own
 from astray.agents.patch import nature, overlap, patch, patch_impala, strided_impala
 from astray.agents.recurrent import WithCell
-from astray.files import check_readable
+from astray.files import read
 from astray.validation import brief
 
 GROUP = "astray.networks"  # of entry points, by which installed packages offer theirs
@@ -155,13 +156,21 @@ def _check_weights(tensors: dict[str, Tensor], network: nn.Module) -> None:
 
 
 def _read(path: Path, game: str) -> tuple[dict[str, Tensor], Architecture]:
-    check_readable(path)
-    with safe_open(path, "pt", device="cpu") as file:
-        found = read_header(file.metadata(), game)
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    tensors, found = read_tensors(path, game)
     if not all(x.isfinite().all() for x in tensors.values() if x.is_floating_point()):
         raise ValueError("its weights are not all finite numbers")
     return tensors, _architecture(found["architecture"])
+
+
+def read_tensors(path: Path, game: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Return the tensors of a safetensors file and its `header`.
+
+    It is not mapped: a mapped file that shrinks kills the process, and Windows could not delete it.
+    """
+    data = read(path)
+    tensors = from_bytes(data)
+    size = int.from_bytes(data[:8], "little")  # of the JSON, which the library has checked
+    return tensors, read_header(json.loads(data[8 : 8 + size]).get("__metadata__"), game)
 
 
 @contextlib.contextmanager

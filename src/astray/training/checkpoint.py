@@ -19,7 +19,6 @@ import numpy as np
 import torch
 from filelock import Timeout
 from safetensors import SafetensorError
-from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
 from astray import provenance
@@ -31,7 +30,6 @@ from astray.files import (
     folder_aside,
     hold,
     holds_only,
-    read,
     remove_left,
     write_aside,
 )
@@ -168,10 +166,7 @@ def restore(folder: Path, trainer: Trainer) -> None:
     config, path = trainer.config, latest(folder)
     policy.load_into(trainer.network, path / AGENT, config.game)
     try:
-        # From bytes: a mapped file could not be deleted on Windows while it is in use.
-        data = read(path / TRAINER)
-        tensors = from_bytes(data)
-        header = policy.read_header(_metadata(data), config.game)
+        tensors, header = policy.read_tensors(path / TRAINER, config.game)
         saved = Config.from_json(header["config"])
         _compare(saved, config, "it is of another run")
         if saved.device != config.device:  # which has no use for the other's random states
@@ -182,12 +177,6 @@ def restore(folder: Path, trainer: Trainer) -> None:
             raise ValueError(f"it is of step {trainer.steps}")
     except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{path / TRAINER} cannot be resumed from: {brief(error)}") from error
-
-
-def _metadata(data: bytes) -> dict[str, str]:
-    """Return the metadata of a checked safetensors file."""
-    size = int.from_bytes(data[:8], "little")
-    return json.loads(data[8 : 8 + size]).get("__metadata__", {})
 
 
 def finished(folder: Path, config: Config) -> bool:

@@ -20,10 +20,11 @@ from typing import Any
 
 import numpy as np
 import platformdirs
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
+from safetensors.numpy import load as from_bytes
 
 from astray import agents
-from astray.files import check_readable, check_writable, folder_aside, read
+from astray.files import check_writable, folder_aside, read
 from astray.training.config import Config
 from astray.validation import finite, shown
 
@@ -131,9 +132,7 @@ class AgentFolder:
 def _of_moments(trainer: Path) -> float:
     from astray.training.ppo import RewardNormaliser  # here, as torch takes two seconds to import
 
-    check_readable(trainer)
-    with safe_open(trainer, "numpy") as file:
-        _, variance, _ = file.get_tensor(MOMENTS).tolist()
+    _, variance, _ = from_bytes(read(trainer))[MOMENTS].tolist()
     return float(1 / RewardNormaliser(1, clip=np.inf, variance=variance).scaled(np.ones(1))[0])
 
 
@@ -242,4 +241,6 @@ def made(home: Path, name: str) -> Iterator[Path]:
 
 
 def _names(home: Path) -> list[str]:
-    return sorted(path.parent.name for path in home.glob(f"[!.]*/{CONFIG}"))
+    with contextlib.suppress(PermissionError):  # of another user, whose home folder is closed
+        return sorted(path.parent.name for path in home.glob(f"[!.]*/{CONFIG}"))
+    return []
