@@ -102,8 +102,7 @@ def find(proxy: str, work: Work) -> Findings:
             Plot(
                 "buffer",
                 "The fraction of the buffer's levels whose goal is placed as in the test, in the "
-                "last quarter of training, a dot an agent; dashed: the fraction of new "
-                "levels.",
+                f"last quarter of training, a dot an agent; {DR} plays new levels as they come.",
                 buffer_figure(buffers),
                 buffers,
             ),
@@ -280,11 +279,9 @@ def buffer_figure(buffers: pl.DataFrame) -> Figure:
     """Plot the fraction of distinguishing levels in the buffers over the fraction generated."""
     each = buffers.select("method", "fraction", "seed", mean="in_buffer")
     means = each.group_by("method", "fraction", maintain_order=True).agg(pl.col("mean").mean())
-    new = pl.DataFrame({"method": "generated", "fraction": FRACTIONS, "mean": FRACTIONS})
-    every = pl.concat([each, means, new], how="diagonal_relaxed")
-    return _over_fractions(
-        every, "fraction of the buffer's levels", each="seed", percent="y", base=["generated"]
-    )
+    new = pl.DataFrame({"method": DR, "fraction": FRACTIONS, "mean": FRACTIONS})
+    every = pl.concat([new, each, means], how="diagonal_relaxed")  # methods have their colours
+    return _over_fractions(every, "fraction of the buffer's levels", each="seed", percent="y")
 
 
 def _over_fractions(table: pl.DataFrame, label: str, **how: Any) -> Figure:
