@@ -133,6 +133,72 @@ def test_compiled_code_is_new_after_a_change_of_a_value_that_a_module_reads(tmp_
     assert told == [["12", "0"], ["12", "1"], ["13", "0"], ["23", "0"]]
 
 
+CHOSEN = """
+import json, types
+from pathlib import Path
+import numpy as np
+from astray.kernel.jit import entry, kernel
+
+CHOICE = json.loads(Path("choice.json").read_text())
+SPEED, KIND, ROUND = CHOICE["speed"], np.dtype(CHOICE["kind"]), getattr(np, CHOICE["kind"])
+OUTER = types.ModuleType("outer")
+OUTER.inner = types.ModuleType("inner")
+OUTER.inner.SPEED = SPEED
+
+@kernel
+def left(x): return x - 1
+@kernel
+def right(x): return x + 1
+WAY = {"left": left, "right": right}[CHOICE["way"]]
+
+def faster(by):
+    @kernel
+    def fast(x): return by * x
+    return fast
+FAST = faster(SPEED)
+
+@kernel
+def by_default(x, speed=SPEED): return speed * x
+
+@entry
+def default(x): return by_default(x)
+@entry
+def function(x): return WAY(x)
+@entry
+def closure(x): return FAST(x)
+@entry
+def module(x): return OUTER.inner.SPEED * x
+@entry
+def dtype(x): return np.full(1, x, KIND)
+@entry
+def kind(x): return ROUND(x)
+"""
+
+
+@pytest.mark.parametrize(
+    ("of", "changed"),
+    [
+        ("default", {"speed": 2}),
+        ("function", {"way": "left"}),
+        ("closure", {"speed": 2}),
+        ("module", {"speed": 2}),
+        ("dtype", {"kind": "float32"}),
+        ("kind", {"kind": "float32"}),
+    ],
+)
+def test_what_compiled_code_keeps_is_in_its_digest(of, changed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path("chosen.py").write_text(CHOSEN)
+    told = []
+    for choice in ({}, {}, changed, {"unused": 1}):
+        usual = {"speed": 1, "way": "right", "kind": "float64"}
+        Path("choice.json").write_text(json.dumps(usual | choice))
+        told.append(code_digest(getattr(importlib.import_module("chosen"), of)))
+        del sys.modules["chosen"]
+    assert told[0] == told[1] == told[3] != told[2] and None not in told
+
+
 DISTANCES = """
 import numpy as np
 from astray.kernel.grid import distances

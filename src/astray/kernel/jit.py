@@ -7,9 +7,9 @@ import inspect
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numba
@@ -22,7 +22,10 @@ from astray.kernel.cache import cache_folder, held
 from astray.kernel.stored import Stored
 from astray.kernel.versions import LOCK
 
-VALUES = (bool, int, float, complex, str, bytes, tuple, np.ndarray, np.generic)  # in compiled code
+VALUES = (
+    bool, int, float, complex, str, bytes, tuple, np.ndarray, np.generic, np.dtype, type,
+    numba.types.Type,
+)  # fmt: skip  # what compiled code keeps
 
 
 def version_digest() -> str:
@@ -54,8 +57,7 @@ def code_digest(function: Any) -> str | None:
         elif part.__closure__:
             return None
         else:
-            code = part.__code__
-            told.append((name, code.co_qualname, code.co_firstlineno, code.co_code))
+            told.append((name, *_written(part)))
             told.extend(_frozen(part, set()))
     return provenance.digest([part for _, part in parts], data=sorted(told, key=repr))
 
@@ -77,17 +79,34 @@ def _frozen(function: FunctionType, passed: set[FunctionType]) -> Iterator[tuple
     codes = [function.__code__]
     for code in codes:
         codes.extend(one for one in code.co_consts if isinstance(one, CodeType))
-    used, there = {name for code in codes for name in code.co_names}, function.__globals__
-    modules = (vars(there[name]) for name in used if isinstance(there.get(name), ModuleType))
-    for scope in (there, *modules):
+    closed = _closed(function)
+    used = {name for code in codes for name in code.co_names}.union(closed)
+    scopes: list[Mapping[str, Any]] = [function.__globals__, closed]
+    for scope in scopes:  # also those of modules that are found in these
         for name in filter(scope.__contains__, used):
             value = scope[name]
             if hasattr(value, "_numba_type_"):
                 called = inspect.unwrap(getattr(value, "py_func", value))
+                yield name, *_written(called)
                 if called not in passed:
                     yield from _frozen(called, passed)
+            elif isinstance(value, ModuleType) and all(vars(value) is not s for s in scopes):
+                scopes.append(vars(value))
             elif isinstance(value, VALUES):
                 yield name, _kept(value)
+
+
+def _written(function: FunctionType) -> tuple[Any, ...]:
+    """Return what tells a function from others of its module, or of the same lines."""
+    code, values = function.__code__, (*(function.__defaults__ or ()), *_closed(function).values())
+    kept = [_kept(value) for value in values if isinstance(value, VALUES)]
+    return code.co_qualname, code.co_firstlineno, code.co_code, kept
+
+
+def _closed(function: FunctionType) -> dict[str, Any]:
+    """Return the names that a function has from the function that made it."""
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    return {name: cell.cell_contents for name, cell in cells if cell != CellType()}  # an empty one
 
 
 def _kept(value: Any) -> Any:
