@@ -65,7 +65,21 @@ def test_a_maze_off_the_middle_of_its_world_is_edited_where_it_is(corner):
     after = GAME.mutation.mutate(states, level.variant, seeds, 12, "binomial")
     changed = (states["cell"] == WALL) != (after["cell"] == WALL)
     rows, columns = np.nonzero(changed.any(0))
-    assert rows.min() == 4 and columns.max() == 2  # 3 x 3 cells in the upper left
+    assert rows.min() == 4  # 3 x 3 cells in the upper left; without a corner, their edges stay
+    assert (rows.max(), columns.max()) == ((6, 2) if corner == "." else (5, 1))
+
+
+@pytest.mark.parametrize("corner", [".", "#"])
+@pytest.mark.parametrize("drawn", [["@{}", "..", ".G", "..", ".."], [".....{}", "@...G."]])
+def test_edits_leave_a_maze_its_corner_or_none(drawn, corner):
+    rows = [row.format(corner).ljust(7, "#") for row in drawn]
+    lines = "\n".join([*["#######"] * (7 - len(rows)), *rows])
+    level = Level.from_text(GAME, GAME.variant("anywhere-small"), lines)
+    states = np.repeat(np.array([level.state()], GAME.state), 200)
+    for s in GAME.mutation.mutate(states, level.variant, np.arange(200), 12, "binomial"):
+        again = Level.of(GAME, level.variant, s).state()
+        for name in ("corner_x", "corner_y"):
+            assert again[name] == s[name] == states[0][name]
 
 
 def otherwise(name, value):

@@ -66,27 +66,31 @@ def edit_level(s, params, seed, edits, kind):
     """Make `edits` edits of the level that `s` begins in."""
     seed_twister(s, seed)
     s.level = NEVER
-    left, low = lower_left(s)
+    right, top = upper_right(s)
     for k in range(edits):
         drawn = below(s, WEIGHTS) if kind == BINOMIAL else edits - 1 - k
         if drawn == 0:
             if kind != IDENTITY:
                 edit_goal(s, params)
         elif drawn == 1:
-            edit_mouse(s, params[0], left, low)
+            edit_mouse(s, params[0], right, top)
         else:
-            edit_wall(s, left, low)
+            edit_wall(s, right, top)
     s.reached_goal, s.reached_corner, s.reached_other = NEVER, NEVER, NEVER
     note_arrivals(s)
 
 
 @kernel
-def edit_wall(s, left, low):
+def edit_wall(s, right, top):
     """Open a cell of the maze, or close it if it is empty and everything stays reachable.
 
-    The maze's lower left cell is (`left`, `low`).
+    The maze ends at column `right` and row `top`. If it has no corner, these two stay as they are:
+    they say where the corner is that they lack.
     """
-    x, y = left + below(s, s.maze_size), low + below(s, s.maze_size)
+    columns, rows = min(s.maze_size, right + 1), min(s.maze_size, top + 1)
+    x, y = right + 1 - columns + below(s, columns), top + 1 - rows + below(s, rows)
+    if s.corner_x == NEVER and (x == right or y == top):
+        return
     if s.cell[y, x] == WALL:
         s.cell[y, x] = EMPTY
     elif s.cell[y, x] == EMPTY and not is_taken(s, x, y):
@@ -96,24 +100,24 @@ def edit_wall(s, left, low):
 
 
 @kernel
-def lower_left(s):
-    """Return the maze's lower left cell, which may be anywhere in the world."""
+def upper_right(s):
+    """Return the last column and the highest row of a maze, which may be anywhere in the world."""
     x, y = s.corner_x, s.corner_y
     if x == NEVER:  # there is wall
         for row in range(s.world):
             for column in range(s.world):
                 if s.cell[row, column] != WALL:
                     x, y = max(x, column), row
-    return max(x - s.maze_size + 1, 0), max(y - s.maze_size + 1, 0)
+    return x, y
 
 
 @kernel
-def edit_mouse(s, p, left, low):
+def edit_mouse(s, p, right, top):
     """Move the mouse, if it can start anywhere, or the other object, or toggle a wall."""
     moves_mouse, moves_other = p.start != 0, s.other_x != NEVER
     pick = below(s, 1 + moves_mouse + moves_other)
     if pick == 0:
-        edit_wall(s, left, low)
+        edit_wall(s, right, top)
         return
     x, y = free_cell(s)
     if x == NEVER:
