@@ -222,6 +222,8 @@ def check_new(name: str, *homes: Path) -> None:
             f"an agent's name must be of a-z, 0-9 and -, at most 100; got {shown(name)}"
         )
     for one in homes or (PRETRAINED, home()):
+        if f"{one}" != f"{one}".encode(errors="replace").decode():  # tables have its path
+            raise ValueError(f"a folder of agents must have a name in UTF-8; got {shown(f'{one}')}")
         if (one / name).exists():
             raise ValueError(f"there is an agent {name!r} already, in {one / name}")
 
