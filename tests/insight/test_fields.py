@@ -197,7 +197,8 @@ def test_the_agent_is_drawn_above_colours_and_is_nowhere_else(level):
     assert abs(field_figures.PIXELS - rows - bottom - size[1] / 2).max() <= size[1] / 2 + 1
     seen = picture(MAZE, SMALL, np.array([level.state()]), field_figures.PIXELS)[0]
     assert (shown.front[rows, columns, :3] == seen[rows, columns]).all()
-    floor = shown.image[rows, columns] != np.uint8(255 * 0.45 + 0.55 * seen[rows, columns])
+    veiled = 255 * field_figures.VEIL + (1 - field_figures.VEIL) * seen[rows, columns]
+    floor = shown.image[rows, columns] != np.uint8(veiled)
     assert floor.any(-1).mean() > 0.95  # the floor below it has its own colours
 
 

@@ -134,11 +134,11 @@ def test_an_agent_whose_file_is_gone_is_told_from_others_all_the_same(tmp_path, 
         runs.evaluate_runs([tmp_path / "run", tmp_path / "again"], np.arange(2))
 
 
-def test_a_home_folder_of_another_user_has_no_agents(monkeypatch):
+def test_a_home_folder_of_another_user_has_no_agents(tmp_path, monkeypatch):
     def closed(*_):
         raise PermissionError("closed")
 
-    monkeypatch.setenv("ASTRAY_AGENTS", "/root/agents")
+    monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path))
     shut = {folders.home()}
     real = Path.glob
     monkeypatch.setattr(

@@ -28,7 +28,7 @@ def mutate(
     An edit toggles a cell of the maze; or moves the mouse or the other object, or toggles a wall,
     with equal probability; or places the goal as a new level of `variant` does, shifted with its
     shift_probability. A goal on a dish moves with the dish. Walls that would cut the mouse off
-    from the goal, the other object or the corner are not built.
+    from the goal, the other object or the corner are not built. A maze keeps its corner, or none.
 
     Args:
         seeds: [N] uint32, which determine the edits.
@@ -84,8 +84,8 @@ def edit_level(s, params, seed, edits, kind):
 def edit_wall(s, right, top):
     """Open a cell of the maze, or close it if it is empty and everything stays reachable.
 
-    The maze ends at column `right` and row `top`. If it has no corner, these two stay as they are:
-    they say where the corner is that they lack.
+    The maze ends at column `right` and row `top`, which stay as they are if their common cell is
+    wall: there is no corner then, and edits must not make one.
     """
     columns, rows = min(s.maze_size, right + 1), min(s.maze_size, top + 1)
     x, y = right + 1 - columns + below(s, columns), top + 1 - rows + below(s, rows)
