@@ -30,7 +30,11 @@ OF_PAPER = {
     "The paper's own mazes": ("Three mice in the paper's mazes", FAILED),
     "The paper's own CoinRun": ("Three runners in the paper's CoinRun", DIED),
     "With random coins in 2 % of the levels": (
-        "Three that saw the coin elsewhere in 2 % of training levels",
+        "Three with random coins in 2 % of training levels",
+        DIED,
+    ),
+    "With random coins in 20 % of the levels": (
+        "Three with random coins in 20 % of training levels",
         DIED,
     ),
 }
