@@ -41,12 +41,12 @@ def name_of(method: str, fraction: float) -> str:
 
 
 def plan(
-    shift: str, knobs: dict[str, Any], seeds: int, levels: int, steps: int, differences: str
+    shift: str, knobs: dict[str, Any], seeds: int, levels: int, differences: str, **training: Any
 ) -> Plan:
     """Return a plan with agents of every method and fraction, on a shift's training variant."""
     tests = tests_of("maze", shift)
     train, test = (one.variant for one in tests.values())
-    base = replace(PRESETS["small"], variant=train, validation=test, steps=steps, knobs=knobs)
+    base = replace(PRESETS["small"], variant=train, validation=test, knobs=knobs, **training)
     agents: dict[str, Config] = {}
     for method, settings in METHODS.items():
         for fraction in FRACTIONS:
@@ -295,31 +295,26 @@ def _over_fractions(table: pl.DataFrame, label: str, **how: Any) -> Figure:
 
 
 def experiment(
-    title: str, shift: str, proxy: str, knobs: dict[str, Any], seen: str = ""
+    title: str, shift: str, proxy: str, knobs: dict[str, Any], seen: str = "", **training: Any
 ) -> Experiment:
     """Return the experiment on a shift of Maze, in small worlds.
 
     Args:
         knobs: Knobs of the variants.
         seen: Change of the observations from the paper's.
+        training: Settings of the trainings, other than the preset's; `steps` among them.
     """
+    differences = (
+        "worlds of 7 cells instead of 13, seen as symbols by a network of two hidden layers; "
+        f"{training['steps'] // 10**6} million steps instead of 250 and more; rollouts of 64 steps "
+        "instead of 128; 4 of the 11 fractions; regret as the solver gives it, which the paper has "
+        "beside its estimate"
+    )
     return Experiment(
         title=title,
         reproduces="Abdel Sadek et al. 2025, in small",
         question=f"Do curricula of regret keep mice from the {proxy}, where few training levels "
         "tell it from the cheese?",
-        sizes={
-            "smoke": plan(
-                shift,
-                knobs,
-                3,
-                500,
-                4_000_000,
-                "worlds of 7 cells instead of 13, seen as symbols by a network of two hidden "
-                "layers; 4 million steps instead of 250 and more; rollouts of 64 steps "
-                "instead of 128; 4 of the 11 fractions; regret as the solver gives it, which the "
-                "paper has beside its estimate" + seen,
-            )
-        },
+        sizes={"smoke": plan(shift, knobs, 3, 500, differences + seen, **training)},
         find=partial(find, proxy),
     )

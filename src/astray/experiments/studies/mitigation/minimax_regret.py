@@ -2,4 +2,4 @@
 
 from astray.experiments.studies.mitigation import _regret as regret
 
-EXPERIMENT = regret.experiment("Minimax regret", "corner-small", "corner", {})
+EXPERIMENT = regret.experiment("Minimax regret", "corner-small", "corner", {}, steps=4_000_000)

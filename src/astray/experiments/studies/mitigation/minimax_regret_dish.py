@@ -12,4 +12,7 @@ EXPERIMENT = regret.experiment(
     {"dish_planes": PLANES},
     f"; the dish is seen in {PLANES} planes and the cheese as two points of length 1, where the "
     "paper has 6 planes and 1",
+    # A mouse of 4 million steps at the preset's rate takes four fifths of the training's cheese.
+    steps=12_000_000,
+    learning_rate=0.002,
 )
