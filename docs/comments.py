@@ -21,6 +21,9 @@ class Comments(Extension):
 
     def on_attribute_instance(self, *, attr: Attribute, **_: Any) -> None:
         said = [line.partition("  # ")[2] for line in attr.lines]
+        if not any(said) and attr.lineno and attr.parent is not None and attr.parent.is_class:
+            above = attr.lines_collection[Path(str(attr.filepath))][attr.lineno - 2]
+            said = [above.removeprefix("    # ") if above.startswith("    # ") else ""]
         of_module = attr.parent is not None and attr.parent.is_module
         if attr.docstring is None and any(said) and (not of_module or attr.name in used()):
             attr.docstring = Docstring(" ".join(filter(None, said)), parent=attr)

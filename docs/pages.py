@@ -258,11 +258,12 @@ def knob_rows(kind: type[Variant]) -> Iterator[tuple[str, ...]]:
 
 
 def comment(owner: type, field: str) -> str:
-    """What the source says behind the declaration of a field."""
+    """What the source says behind the declaration of a field, or in the line above it."""
     if owner is object:
         return ""
-    found = re.search(rf"^    {field}: [^#\n]*# (.*)$", inspect.getsource(owner), re.MULTILINE)
-    return found[1] if found else ""
+    line = rf"^(?:    # (.*)\n)?    {field}: [^#\n]*(?:# (.*))?$"
+    found = re.search(line, inspect.getsource(owner), re.MULTILINE)
+    return (found[2] or found[1] or "") if found else ""
 
 
 # Experiments
@@ -328,7 +329,7 @@ def settings(config: Config) -> dict[str, str]:
     return {
         "variant": link(config.game, config.variant),
         "knobs changed": assigned(config.knobs),
-        "steps": f"{config.steps / 1e6:g} million",
+        "steps": f"{config.steps / 1e6:g}\u00a0million",
         "sees": config.observation,
         "network": f"{config.network}, {config.scale} x"
         if config.network == "impala"

@@ -37,7 +37,7 @@ STATE = state(SIDE, EVENTS)
 class Boxes(Variant):
     """A room with boxes anywhere except at its walls."""
 
-    boxes: Annotated[int, (0, 3)] = 0
+    boxes: Annotated[int, (0, 3)] = 0  # number
     time_limit: int = 50  # steps
 
 

@@ -35,7 +35,7 @@ class Keys(Variant):
     most: int = 0  # groups; all numbers from `fewest` on are equally likely
     key_penalty: float = 0.0  # reward that a key costs
     step_penalty: float = 0.0  # reward that a step costs
-    strict: bool = False
+    strict: bool = False  # as the original; see above
     inventory: Inventory = "upper-right"  # where keys in hand are shown
     background: int = AS_NUMBERED  # 0 to 8
     time_limit: int = 1000  # steps

@@ -34,14 +34,14 @@ class Maze(Variant):
     window: int = 0  # cells a side of the window around the mouse that is seen; 0: all the world
     placement: Placement = "anywhere"  # of the goal; "other": on the other object
     region: int = 1  # cells a side of the upper right square with the goal, for "region"
-    strict: bool = False
+    strict: bool = False  # as the original; see above
     start: Literal["corner", "anywhere"] = "corner"  # the mouse: the lower left, or any free cell
-    goal_shape: Shape = "cheese"
-    goal_colour: Colour = "yellow"
+    goal_shape: Shape = "cheese"  # of what is worth the reward
+    goal_colour: Colour = "yellow"  # of the same
     other_shape: Other = "none"  # of an object that does nothing, anywhere
-    other_colour: Colour = "none"
+    other_colour: Colour = "none"  # of the same
     dish_planes: int = 1  # of symbols that show a dish: the more, the sooner it is noticed
-    walls: Walls = "sand"
+    walls: Walls = "sand"  # what they are made of
     background: int = AS_NUMBERED  # 0 to 8
     time_limit: int = 500  # steps
 

@@ -50,11 +50,11 @@ STATE = state(
 class Monsters(Variant):
     """An open field with apples, shields and monsters; taken things reappear elsewhere."""
 
-    monsters: Annotated[int, (0, 12)] = 5
+    monsters: Annotated[int, (0, 12)] = 5  # number
     # Steps that a monster takes for one of the knight's, on average.
     slowness: Annotated[int, (1, 1000)] = 2
-    apples: Annotated[int, (0, 12)] = 5
-    shields: Annotated[int, (0, 12)] = 5
+    apples: Annotated[int, (0, 12)] = 5  # number
+    shields: Annotated[int, (0, 12)] = 5  # number
     time_limit: int = 25  # steps
 
 

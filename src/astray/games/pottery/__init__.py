@@ -39,7 +39,7 @@ class Pottery(Variant):
     bin: Literal["corner", "anywhere"] = "corner"  # where the bin stands; the corner: upper left
     reward: Literal["bin", "picks", "careful", "corner"] = "bin"  # which reward function pays
     shards: Annotated[int, (0, 6)] = 4  # heaps
-    urns: Annotated[int, (0, 6)] = 2
+    urns: Annotated[int, (0, 6)] = 2  # number
     time_limit: int = 64  # steps
 
 

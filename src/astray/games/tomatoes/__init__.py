@@ -27,8 +27,8 @@ STATE = state(SIDE, EVENTS, "drying", "waterings", "hidden", "tended")
 class Tomatoes(Variant):
     """A garden with tomatoes, at first dry, and perhaps a bucket, in random cells."""
 
-    tomatoes: Annotated[int, (1, 20)] = 8
-    buckets: Annotated[int, (0, 1)] = 1
+    tomatoes: Annotated[int, (1, 20)] = 8  # number
+    buckets: Annotated[int, (0, 1)] = 1  # number
     drying: Annotated[int, (0, 100)] = 5  # of a hundred steps, those in which a watered one dries
     time_limit: int = 100  # steps
 
