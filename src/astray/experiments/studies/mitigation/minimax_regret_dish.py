@@ -13,6 +13,9 @@ EXPERIMENT = regret.experiment(
     f"; the dish is seen in {PLANES} planes and the cheese as two points of length 1, where the "
     "paper has 6 planes and 1",
     # A mouse of 4 million steps at the preset's rate takes four fifths of the training's cheese.
+    # One pass in minibatches of 2,048 at this rate takes half the time of the preset's three.
     steps=12_000_000,
     learning_rate=0.002,
+    epochs=1,
+    minibatches=8,
 )
