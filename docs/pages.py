@@ -254,7 +254,7 @@ def knob_rows(kind: type[Variant]) -> Iterator[tuple[str, ...]]:
             default = "" if field.default is MISSING else code(field.default)
             hint = hints[field.name]  # without its bounds
             shown = " ".join(map(code, getattr(hint, "__args__", [hint.__name__])))
-            yield code(field.name), shown, default, said
+            yield code(field.name), shown, default, said[:1].upper() + said[1:]
 
 
 def comment(owner: type, field: str) -> str:
@@ -329,7 +329,9 @@ def settings(config: Config) -> dict[str, str]:
     return {
         "variant": link(config.game, config.variant),
         "knobs changed": assigned(config.knobs),
-        "steps": f"{config.steps / 1e6:g}\u00a0million",
+        "steps": f"{config.steps:,}"
+        if config.steps < 10**6
+        else f"{config.steps / 1e6:g}\u00a0million",
         "sees": config.observation,
         "network": f"{config.network}, {config.scale} x"
         if config.network == "impala"
