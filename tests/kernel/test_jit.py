@@ -134,7 +134,7 @@ def test_compiled_code_is_new_after_a_change_of_a_value_that_a_module_reads(tmp_
 
 
 CHOSEN = """
-import json, types
+import enum, json, types
 from pathlib import Path
 import numpy as np
 from astray.kernel.jit import entry, kernel
@@ -144,6 +144,8 @@ SPEED, KIND, ROUND = CHOICE["speed"], np.dtype(CHOICE["kind"]), getattr(np, CHOI
 OUTER = types.ModuleType("outer")
 OUTER.inner = types.ModuleType("inner")
 OUTER.inner.SPEED = SPEED
+RATES = enum.Enum("RATES", {"LOW": 0, "TOP": SPEED})
+TOP_RATE = RATES.TOP
 
 @kernel
 def left(x): return x - 1
@@ -172,6 +174,10 @@ def module(x): return OUTER.inner.SPEED * x
 def dtype(x): return np.full(1, x, KIND)
 @entry
 def kind(x): return ROUND(x)
+@entry
+def names(x): return RATES.TOP.value * x
+@entry
+def member(x): return TOP_RATE.value * x
 """
 
 
@@ -184,6 +190,8 @@ def kind(x): return ROUND(x)
         ("module", {"speed": 2}),
         ("dtype", {"kind": "float32"}),
         ("kind", {"kind": "float32"}),
+        ("names", {"speed": 2}),
+        ("member", {"speed": 2}),
     ],
 )
 def test_what_compiled_code_keeps_is_in_its_digest(of, changed, tmp_path, monkeypatch):

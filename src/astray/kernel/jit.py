@@ -1,6 +1,7 @@
 """Compilation: three decorators, and an on-disk cache that cannot be stale."""
 
 import contextlib
+import enum
 import functools
 import hashlib
 import inspect
@@ -24,7 +25,7 @@ from astray.kernel.versions import LOCK
 
 VALUES = (
     bool, int, float, complex, str, bytes, tuple, np.ndarray, np.generic, np.dtype, type,
-    numba.types.Type,
+    enum.Enum, numba.types.Type,
 )  # fmt: skip  # what compiled code keeps
 
 
@@ -113,6 +114,10 @@ def _kept(value: Any) -> Any:
     """Return a value that numba keeps, such that its `repr` is complete."""
     if isinstance(value, np.ndarray | np.void):
         return value.dtype.descr, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
+    if isinstance(value, enum.EnumType):
+        return [(name, _kept(one.value)) for name, one in value.__members__.items()]
+    if isinstance(value, enum.Enum):
+        return value.name, _kept(value.value)
     return [_kept(one) for one in value] if isinstance(value, tuple) else value
 
 
