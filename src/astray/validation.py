@@ -15,7 +15,7 @@ import numpy as np
 MOST = 2**31 - 1  # of a knob, and of what is counted
 AT_ONCE = 10_000_000  # numbers of a range that are written out
 NUMBERS = int | float | np.integer | np.floating
-UNCOUNTED = bool | np.timedelta64  # that are integers to Python or numpy
+UNCOUNTED = bool | np.bool_ | np.timedelta64  # that are integers to Python or numpy
 
 
 def bounded(name: str, given: Any, least: float, most: float) -> None:
@@ -85,7 +85,7 @@ def integers(given: Any, name: str) -> np.ndarray:
     except ValueError:  # a ragged list
         numbers = np.empty(1, object)
     several = isinstance(given, Sequence) and not isinstance(given, str | range)
-    is_bool = several and any(isinstance(x, bool) for x in given)
+    is_bool = several and any(isinstance(x, UNCOUNTED) for x in given)
     if numbers.size and (numbers.dtype.kind not in "iu" or is_bool or np.ma.is_masked(given)):
         raise ValueError(f"{name} must be integers of at most 64 bits; got {reprlib.repr(given)}")
     return numbers if numbers.size else numbers.astype(np.int64)
@@ -93,7 +93,8 @@ def integers(given: Any, name: str) -> np.ndarray:
 
 def check_cell(place: Any) -> tuple[int, int]:
     """Return `place` as a cell (x, y); raise ValueError unless it is two integers."""
-    if np.shape(place) != (2,) or np.asarray(place).dtype.kind not in "iu":
+    is_pair = np.shape(place) == (2,) and np.asarray(place).dtype.kind in "iu"
+    if not is_pair or any(isinstance(one, UNCOUNTED) for one in place):
         raise ValueError(f"a cell must be two integers, x and y; got {shown(place)}")
     x, y = place
     return int(x), int(y)
