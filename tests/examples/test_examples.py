@@ -89,6 +89,12 @@ def test_an_edit_of_its_rules_is_seen_by_the_next_process(beside, tmp_path):
     assert run(EDITED, tmp_path, env=beside).split() == ["0.5", "0.5"]
 
 
+def test_the_page_on_extending_says_how_long_a_game_is():
+    lines = (EXAMPLE / "src/open_room/game.py").read_text().count("\n")
+    page = (EXAMPLE.parents[1] / "docs/extending.md").read_text()
+    assert f"a game of {lines} lines" in page
+
+
 def test_the_page_on_extending_runs_as_it_stands(tmp_path):
     run_page("extending", 8, tmp_path)
     assert '"update/size"' in (tmp_path / "mouse" / "metrics.jsonl").read_text("utf-8")
