@@ -8,8 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from astray.game import Benchmark, Game, Outcome, Shift
 from astray.grid import abilities
 from astray.grid.abilities import Cells, World, where
@@ -74,9 +72,6 @@ def world(
     editing, solver = abilities.editing(made), abilities.solver(made)
     art = Path(module.__file__).parent / "art"
 
-    def invariants(s: np.ndarray, variant: Any) -> dict[str, np.ndarray]:
-        return made.truths(s)
-
     game = Game(
         name, about, module, module,
         looks(art, side, kinds, agents),
@@ -85,7 +80,7 @@ def world(
         editing=editing, solver=solver, cells=abilities.cells(made),
         places=Placement(editing, solver, (0, 0), 0.5), benchmark=Benchmark(next(iter(variants))),
         sprites=sprites(art, made.pictures(), agents),
-        invariants=invariants, **rest,
+        invariants=lambda states, variant: made.truths(states), **rest,
     )  # fmt: skip
     _MADE[game] = made
     return game

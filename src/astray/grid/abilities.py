@@ -142,9 +142,6 @@ def editing(world: World) -> Any:
 def cells(world: World) -> Any:
     """Return the ability `cells`."""
 
-    def free(s: Any) -> np.ndarray:
-        return walkable(world, s)
-
     def target(s: Any, goal: str) -> tuple[int, int] | None:
         wanted = world.seek(s, goal) if goal in world.events else None
         if not isinstance(wanted, Sequence) or len(wanted) != 1:
@@ -152,7 +149,7 @@ def cells(world: World) -> Any:
         ((x, y),) = wanted
         return (x, y) if s.mover[y, x] == 0 else None  # what moves has no cell
 
-    return SimpleNamespace(free=free, target=target)
+    return SimpleNamespace(free=functools.partial(walkable, world), target=target)
 
 
 def reachable(world: World, s: Any) -> np.ndarray:

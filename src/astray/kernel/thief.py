@@ -252,13 +252,17 @@ def grid(s: Any) -> np.ndarray:
 
 
 def looks(s: Any) -> dict[str, Any]:
-    """Return the looks from which `begin` builds the level of state `s` again.
+    """Return the looks of state `s` for `begin`; raise ValueError if objects share a cell.
 
     "twister" decides ties: its seed and its number of draws when the level began. "details" are
     [x, y, right, up] of objects off their cells' centres, in cells from the lower left corner.
     """
     x, y = (at[: s.objects][s.gone[: s.objects] < 0] for at in (s.object_x, s.object_y))
-    places = zip(x.tolist(), y.tolist(), strict=True)
+    places = [*zip(x.tolist(), y.tolist(), strict=True)]
+    cells = [(int(x), int(y)) for x, y in places]
+    for k, (column, row) in enumerate(cells):
+        if s.cell[row, column] == WALL or (column, row) in cells[:k]:
+            raise ValueError(f"cell {column, row} holds several things; a level has one in each")
     details = [[int(x), int(y), x % 1, y % 1] for x, y in places if (x % 1, y % 1) != (0.5, 0.5)]
     return {
         "background": int(s.background),

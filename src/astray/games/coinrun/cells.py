@@ -76,7 +76,9 @@ def _drawn(s: Any) -> tuple[np.ndarray, np.ndarray, list[list[int]]]:
 
 
 def describe(s: Any) -> dict[str, Any]:
-    """Return the level of state `s` as plain data, with the lowest row of `grid` first."""
+    """Return the level of state `s`, lowest row first; raise ValueError if things share a cell."""
+    for y, x in np.argwhere((s.thing != NOTHING) & (s.cell != EMPTY)).tolist():
+        raise ValueError(f"cell {x, y} holds several things; a level has one in each")
     cells, details, sharing = _drawn(s)
     return {
         "world": WORLD,
@@ -104,13 +106,8 @@ def describe(s: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def invariants(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
-    """Return facts about states [N] of `variant` that compiled code relies on."""
-    return truths(states)
-
-
 def truths(states: np.ndarray) -> dict[str, np.ndarray]:
-    """Return facts about states [N] of every variant."""
+    """Return facts about states [N] of every variant that compiled code relies on."""
     s = states.view(np.recarray)
     return {
         "cell": (s.cell <= PERMEABLE).all((1, 2)),

@@ -8,7 +8,7 @@ import pytest
 
 from astray.envs.vector import GameVectorEnv
 from astray.games.coinrun import GAME
-from astray.games.coinrun.rules import COIN, INVISIBLE, PERMEABLE, SAW, TOP, WALL
+from astray.games.coinrun.rules import COIN, CRATE, INVISIBLE, LAVA, PERMEABLE, SAW, TOP, WALL
 from astray.games.coinrun.solve import plan
 from astray.games.coinrun.variants import VARIANTS
 from astray.level import Level
@@ -207,3 +207,12 @@ def test_a_moved_crate_or_walker_looks_as_it_did_and_leaves_no_look_behind():
     for one in level.splay("crate", (6, 30))[:3]:
         ((x, y),) = set(one.where("crate")) - set(level.removed("crate", (6, 30)).where("crate"))
         assert one.state(solvable=False).detail[y, x] == 3
+
+
+@pytest.mark.parametrize(("cell", "thing"), [(COIN, CRATE), (WALL, CRATE), (LAVA, SAW)])
+def test_a_state_with_a_thing_on_another_is_no_level(cell, thing):
+    variant = VARIANTS["coin-end"]
+    s = Level.from_text(GAME, variant, "......o.\n@..c....\n########").state(solvable=False)
+    s.cell[1, 5], s.thing[1, 5] = cell, thing
+    with pytest.raises(ValueError, match=r"cell \(5, 1\) holds several things; a level has one"):
+        Level.of(GAME, variant, s)

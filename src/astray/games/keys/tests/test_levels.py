@@ -196,3 +196,25 @@ def test_levels_that_were_written_without_details_are_as_the_twister_draws_them(
     data = Level.of(GAME, VARIANTS["many-keys"], s).to_json()
     data["looks"].pop("details")
     assert beside(Level.from_json(GAME, VARIANTS["many-keys"], data).state()) == beside(s)
+
+
+def test_a_thief_may_stand_at_the_edge_of_a_keys_cell_without_taking_it():
+    variant = VARIANTS["many-keys-small"]
+    drawing = "#######\n#@....#\n#.###.#\n#.#k..#\n#.#.#.#\n#k...C#\n#######"
+    s = Level.from_text(GAME, variant, drawing).state(solvable=False)
+    s.object_y[0], s.y = 1.38, 1.99  # below the middle of its cell; a key is taken within 0.607
+    GAME.check(np.array([s]), variant)
+    level = Level.of(GAME, variant, s)
+    assert level.agent == (1, 1) and level.where("key") == [(1, 1), (3, 3)]
+    level.state(solvable=False)
+
+
+@pytest.mark.parametrize("place", [(5.5, 1.5), (2.5, 2.5)])  # of the chest, of a wall
+def test_a_state_whose_things_share_a_cell_is_no_level(place):
+    variant = VARIANTS["many-keys-small"]
+    drawing = "#######\n#@....#\n#.###.#\n#.#k..#\n#.#.#.#\n#k...C#\n#######"
+    s = Level.from_text(GAME, variant, drawing).state(solvable=False)
+    s.object_x[1], s.object_y[1] = place
+    where = tuple(map(int, place))
+    with pytest.raises(ValueError, match=rf"cell \({where[0]}, {where[1]}\) holds several things"):
+        Level.of(GAME, variant, s)
