@@ -252,6 +252,14 @@ def test_what_astray_did_not_write_is_not_replaced(tmp_path):
     check_free(tmp_path, "plan.json", b"ours", ("figures", "report.html"))
 
 
+def test_a_link_among_what_is_written_again_is_told_before_the_work(tmp_path):
+    (tmp_path / "plan.json").write_text("it is ours")
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "curve.png").symlink_to(tmp_path / "mine.png")
+    with pytest.raises(OSError, match=r"curve\.png must be a file to write; it is a link"):
+        check_free(tmp_path, "plan.json", b"ours", ("figures", "report.html"))
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, OSError])
 def test_nothing_is_left_beside_a_file_that_was_not_written(tmp_path, monkeypatch, error):
     (tmp_path / "a").write_bytes(b"old")

@@ -7,6 +7,7 @@ import shutil
 import stat
 import sys
 import uuid
+import zipfile
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
@@ -16,6 +17,7 @@ ASIDE = re.compile(r"\..+\.[0-9a-f]{32}")  # names that `aside_of` makes, and no
 
 LOCK = ".lock"  # the file by which a process holds a folder
 ROOM = 2**20  # bytes that a disk must have left before the work whose results it gets
+MEMBERS = 20_000  # of an archive; the wheel of Procgen has some 1,000
 LARGEST = 2**32  # bytes of a file that is read; none of astray's comes near
 
 
@@ -37,6 +39,12 @@ def read(path: Path, most: int = LARGEST) -> bytes:
             return file.read(found.st_size)  # Python allocates what is asked for, so not `most`
     finally:
         os.close(number)
+
+
+def check_members(data: bytes) -> None:
+    """Raise BadZipFile if an archive in memory lists so many members that they would fill it."""
+    if (count := data.count(b"PK\1\2")) > MEMBERS:  # a member is 46 bytes, and to Python 1,000
+        raise zipfile.BadZipFile(f"it has {count:,} files; at most {MEMBERS:,} are read")
 
 
 def check_readable(path: Path, most: int = LARGEST) -> None:
@@ -226,6 +234,10 @@ def check_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> 
         check_own(folder / mark)
         if sign not in read(folder / mark):
             raise OSError(f"{folder / mark} was not written by astray; it would be replaced")
+        inside = (path for name in names for path in (folder / name).glob("**/*"))
+        for path in (*(folder / name for name in names), *inside):
+            if path.is_symlink() and not path.is_dir():  # or it would be told after the work
+                raise OSError(f"{path} must be a file to write; it is a link")
         return
     for name in names:
         if os.path.lexists(folder / name):

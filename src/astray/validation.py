@@ -128,6 +128,11 @@ class _Bounded(reprlib.Repr):
         except BaseException:  # a stranger's object may even exit
             return f"<{type(x).__name__} that cannot be shown>"
 
+    def repr_ndarray(self, x: np.ndarray, level: int) -> str:
+        if x.size > self.maxother:  # numpy writes out all of an array [2, 2, 2, ...]
+            return f"an array of shape {x.shape}"
+        return self.repr_instance(x, level)
+
     def repr_dict(self, x: dict[Any, Any], level: int) -> str:
         if level <= 0:
             return "{...}"

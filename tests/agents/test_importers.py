@@ -2,6 +2,7 @@
 
 import io
 import pickle
+import struct
 import zipfile
 
 import msgpack
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from astray import files as safe_files
 from astray.agents.clear import Clear
 from astray.agents.impala import Impala, SamePool
 from astray.agents.importers import cleanrl, files, jd, pth
@@ -205,11 +207,12 @@ def test_what_is_no_agent_of_cleanba_is_refused(data, why):
         cleanrl.read(data)
 
 
-def archived(data, compression=zipfile.ZIP_STORED):
-    """A file of torch with this pickle in it."""
+def archived(data, compression=zipfile.ZIP_STORED, numbers=b""):
+    """A file of torch with this pickle in it, and the numbers of a weight."""
     file = io.BytesIO()
+    parts = {"data.pkl": data, "version": b"3\n", "byteorder": b"little", "data/0": numbers}
     with zipfile.ZipFile(file, "w", compression) as archive:
-        for name, text in (("data.pkl", data), ("version", b"3\n"), ("byteorder", b"little")):
+        for name, text in parts.items():
             archive.writestr(f"archive/{name}", text)
     return file.getvalue()
 
@@ -224,12 +227,12 @@ def doubled(depth, zipped):
 @pytest.mark.parametrize("zipped", [True, False])
 def test_a_key_of_shared_tuples_is_refused_before_it_is_hashed(zipped):
     assert pickle.loads(doubled(10, zipped=False))  # it is a pickle; of 60 it would take years
-    with pytest.raises(ValueError, match="the same tuple many times"):
+    with pytest.raises(ValueError, match="a tuple is a key of a dict"):
         pth.read(doubled(60, zipped))
 
 
 @pytest.mark.parametrize("old", [True, False])
-def test_files_with_an_optimizer_share_no_tuples(old):
+def test_files_with_an_optimizer_are_read_in_both_formats(old):
     network = torch.nn.Linear(3, 3)
     optimizer = torch.optim.Adam(network.parameters())
     network(torch.ones(3)).sum().backward()
@@ -237,7 +240,7 @@ def test_files_with_an_optimizer_share_no_tuples(old):
     file = io.BytesIO()
     held = {"state_dict": network.state_dict(), "optimizer_state_dict": optimizer.state_dict()}
     torch.save(held, file, _use_new_zipfile_serialization=not old)
-    pth.check_plain(file.getvalue())
+    assert set(pth.weights(file.getvalue())) == {"weight", "bias"}
 
 
 def test_channels_of_any_widths_are_kept_with_the_weights(tmp_path):
@@ -261,12 +264,24 @@ BYTEARRAY = (
     b"\x80\x02c__builtin__\nbytearray\n\x8a\x04\x00\xe4\x0b\x04\x85R."  # of 68 million bytes
 )
 DEEP = b"\x80\x02})" + b"\x85" * 15_000 + b"K\x01s."
+SHALLOW = (
+    b"\x80\x02}X\1\0\0\0aX" + struct.pack("<I", len(DEEP) - 16) + b"a" * (len(DEEP) - 16) + b"s."
+)
+# A dictionary of 3,000 names, and pairs of them, each of which is copied 2,000 times.
+NAMES = [b"X\x04\0\0\0%04dN" % k for k in range(3000)]
+COPIED = b"\x80\x02}(" + b"".join(NAMES) + b"u"
+LISTED = b"\x80\x02](" + b"".join(b"](%be" % name for name in NAMES) + b"e"
+TIMES = b"q\x01ccollections\nOrderedDict\nq\x02](" + b"h\x02h\x01\x85R" * 2000 + b"e."
+SHORT = (  # the first of 100 numbers
+    b"\x80\2}X\1\0\0\0actorch._utils\n_rebuild_tensor_v2\n((X\7\0\0\0storagectorch\nFloatStorage\n"
+    b"X\1\0\0\0000X\3\0\0\0cpuKdtQK\0K\1\x85K\1\x85\x89}tRs."
+)
 HUGE = torch.zeros(1).expand(2**40, 256)
 
 REFUSED_PTH = {
-    "a command": (lambda: saved({"state_dict": Runs()}), "more than weights.*for posix.system"),
+    "a command": (lambda: saved({"state_dict": Runs()}), "asks for posix.system"),
     "a plain pickle": (lambda: pickle.dumps(Runs(), 2), "nothing in a file is run"),
-    "nothing": (lambda: b"", "damaged, or not a file of torch"),
+    "nothing": (lambda: b"", "damaged, or no pickle"),
     "half a file": (lambda: changed()[:5000], "damaged, or not a file of torch"),
     "a list": (lambda: saved([1, 2]), "holds a list, not weights by name"),
     "no weights": (lambda: saved({"steps": 5}), "holds 'steps', which is not a weight"),
@@ -294,14 +309,23 @@ REFUSED_PTH = {
     ),
     "a layer twice": (lambda: saved({**reference((2, 2, 2))[0], "policy.bias": torch.ones(15)}),
                       "two weights of the same layer"),
-    "sparse weights": (lambda: changed(fc_value__bias=torch.zeros(1).to_sparse()), "more than w"),
-    "no memory": (lambda: changed(fc_value__bias=torch.zeros(1, device="meta")), "more than weig"),
+    "sparse weights": (lambda: changed(fc_value__bias=torch.zeros(1).to_sparse()), "asks for t"),
+    "no memory": (lambda: changed(fc_value__bias=torch.zeros(1, device="meta")), "asks for torch"),
     "eight bits": (
-        lambda: changed(fc_value__bias=torch.zeros(1).to(torch.float8_e4m3fn)), "more than w"),
+        lambda: changed(fc_value__bias=torch.zeros(1).to(torch.float8_e4m3fn)), "asks for torch"),
     "a wide bytearray": (lambda: archived(BYTEARRAY), "asks for __builtin__.bytearray"),
     "a wide bytearray, as of old": (lambda: BYTEARRAY, "asks for __builtin__.bytearray"),
-    "deep tuples as a key": (lambda: archived(DEEP), "more than 10,000 tuples"),
-    "deep tuples as a key, as of old": (lambda: DEEP, "more than 10,000 tuples"),
+    "deep tuples as a key": (lambda: archived(DEEP), "a tuple is a key"),
+    "deep tuples as a key, as of old": (lambda: DEEP, "a tuple is a key"),
+    "copies of a dictionary": (lambda: archived(COPIED + TIMES), "a dict where a list belongs"),
+    "copies of a list": (lambda: archived(LISTED + TIMES), "more than 100,000 parts"),
+    "copies, as of old": (lambda: LISTED + TIMES, "more than 100,000 parts"),
+    "a part in capitals": (
+        lambda: archived(DEEP).replace(b"data.pkl", b"DATA.PKL"), "0 parts are a pickle"),
+    "two tables of contents": (
+        lambda: archived(DEEP).rpartition(b"PK\5\6")[0] + archived(SHALLOW), "holds 'a', which"),
+    "an archive behind a pickle": (lambda: DEEP + archived(SHALLOW), "a tuple is a key"),
+    "a part that is too short": (lambda: archived(SHORT, numbers=bytes(8)), "more than the file"),
     "a compressed pickle": (lambda: archived(BYTEARRAY, zipfile.ZIP_BZIP2), "it is compressed"),
     "compressed weights": (lambda: archived(b"\x80\x02}.", zipfile.ZIP_DEFLATED), "compressed"),
     "a wrong checksum": (
@@ -357,6 +381,25 @@ def test_a_jd_that_is_refused_says_why(name):
     make, said = REFUSED_JD[name]
     with pytest.raises(ValueError, match=said):
         jd.read(make())
+
+
+def test_a_file_with_a_long_name_is_refused_in_a_few_words(tmp_path):
+    (tmp_path / "agent.pth").write_bytes(saved({"x" * 100_000: torch.zeros(3)}))
+    with pytest.raises(ValueError, match="its weights are x") as found:
+        files.read(tmp_path / "agent.pth")
+    assert len(str(found.value)) < 1000
+
+
+def test_an_archive_of_many_parts_is_not_opened(monkeypatch):
+    monkeypatch.setattr(safe_files, "MEMBERS", 2)
+    with pytest.raises(ValueError, match="it has 4 files; at most 2 are read"):
+        pth.read(archived(b"\x80\x02}."))
+
+
+def test_a_setting_of_many_dimensions_is_not_written_out():
+    said = r"its network is an array of shape \(2, 2, 2"
+    with pytest.raises(ValueError, match=said):
+        jd.read(joblib_bytes(clarity(cnn=np.zeros((2,) * 22, np.uint8))[0]))
 
 
 def test_a_file_of_another_kind_or_size_is_refused(tmp_path, monkeypatch):

@@ -109,6 +109,10 @@ def changed(model, change):
         (lambda m: m.encoder.add_module("other", nn.Linear(2, 2)), "has encoder.other"),
         (lambda m: setattr(m.actor, "actor", nn.Sequential()), "no actor of one layer"),
         (lambda m: m.double(), "other than numbers of 32 bits"),
+        (
+            lambda m: setattr(m.encoder.trunk[0].main[0], "weight", nn.Parameter(torch.ones(()))),
+            "sizes must be integers from 1 on",
+        ),
     ],
 )
 def test_other_networks_are_refused_with_the_reason(saved, change, message):
@@ -130,6 +134,13 @@ def test_a_file_that_asks_for_more_runs_nothing(saved, tmp_path):
 START = b"\x80\x02" + rllte.MARK
 
 
+LONG_NAMES = b"X" + struct.pack("<I", 4000) + b"a" * 4000 + b"q\0" + b"h\0h\0\x93" * 120 + b"."
+WIDE = (  # a tensor whose shape is all numbers that it has
+    b"ctorch._utils\n_rebuild_tensor_v2\n((X\7\0\0\0storagectorch\nFloatStorage\n"
+    b"X\1\0\0\0000X\3\0\0\0cpuKdtQq\1K\0h\1h\1tR."
+)
+
+
 def packed(method, **parts):
     with zipfile.ZipFile(file := io.BytesIO(), "w", method) as archive:
         for name, data in parts.items():
@@ -148,6 +159,8 @@ def damaged(data, after, by):
         (packed(zipfile.ZIP_BZIP2, **{"data.pkl": bytes(1 << 20)}), "it is compressed"),
         (damaged(packed(zipfile.ZIP_LZMA, **{"data.pkl": START}), b".pkl", bytes(30)), "compress"),
         (damaged(packed(zipfile.ZIP_DEFLATED, **{"data.pkl": START}), b".pkl", b"\7"), "compress"),
+        (packed(0, **{"data.pkl": START + LONG_NAMES}), "more than 100,000 parts"),
+        (packed(0, **{"data.pkl": START + WIDE, "data_0": bytes(400)}), "where a tuple belongs"),
         (damaged(packed(0, **{"data.pkl": START}), b"PK\1\2", bytes(16) + b"\xff" * 8), "damaged"),
     ],
 )

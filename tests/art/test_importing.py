@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from astray import files
 from astray.art import original
 from astray.cli import main
 
@@ -174,6 +175,12 @@ def test_a_wheel_larger_than_any_of_procgens_is_not_opened(pack, tmp_path, monke
     monkeypatch.setattr(original, "LARGEST_WHEEL", wheel.stat().st_size - 1)
     with pytest.raises(ValueError, match=r"must be of at most .* bytes; it has"):
         original.take(wheel)
+
+
+def test_a_wheel_of_many_more_files_than_procgens_is_not_opened(pack, tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "MEMBERS", 2)
+    with pytest.raises(ValueError, match="it has 3 files; at most 2 are read"):
+        original.take(wheel_of(tmp_path / "a.whl", pack))
 
 
 def test_a_file_of_twice_procgens_size_is_not_opened(pack, tmp_path):

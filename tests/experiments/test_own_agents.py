@@ -93,6 +93,15 @@ def test_agents_from_files_are_played_and_another_file_is_another_agent(tmp_path
         reproduce(study, "smoke", tmp_path)
 
 
+def test_a_file_that_is_missing_is_told_before_anybody_trains(tmp_path):
+    study = experiment(train=lambda *_: pytest.fail("it trains"))
+    files = [tmp_path / "one", tmp_path / "two"]
+    own = {**study.sizes["smoke"].own, "left": OwnAgents(load, files=files)}
+    plan = replace(study.sizes["smoke"], own=own)
+    with pytest.raises(FileNotFoundError, match="there is no agent 'left' at"):
+        reproduce(replace(study, sizes={"smoke": plan}), "smoke", tmp_path)
+
+
 def test_a_training_that_fails_or_writes_nothing_leaves_no_agent(tmp_path):
     def fail(seed, folder):
         train(seed, folder)

@@ -154,15 +154,17 @@ def train_agents(
     missing = {run: one for run, one in todo.items() if not checkpoint.finished(run, one)}
     if plan.own or missing:
         check_tests(plan)  # before hours of training, not after
-    runs |= {name: own_runs(plan, name, root) for name in plan.own}
     if missing:
         checkpoint.check_all(missing)
         if on == "here":  # else some of these wait for their turn
             check_trainable(plan, trainings)
-        if plan.speed and on == "here" and plan.device in (None, "cpu"):
-            tested = {run for name in plan.agents for run in runs[name]}  # others are soon trained
-            slow = {run: one for run, one in todo.items() if run in tested}
-            print(expected(slow, plan.speed, workers), file=sys.stderr, flush=True)
+    own = sorted(plan.own, key=lambda name: plan.own[name].train is not None)
+    found = {name: own_runs(plan, name, root) for name in own}  # files may be missing: first
+    runs |= {name: found[name] for name in plan.own}
+    if missing and plan.speed and on == "here" and plan.device in (None, "cpu"):
+        tested = {run for name in plan.agents for run in runs[name]}  # others are soon trained
+        slow = {run: one for run, one in todo.items() if run in tested}
+        print(expected(slow, plan.speed, workers), file=sys.stderr, flush=True)
     for names in plan.phases():
         give_weights(plan, runs, names)
         now = {run for name in names for run in runs[name]}

@@ -6,6 +6,7 @@ from pathlib import Path
 from astray import files
 from astray.agents.importers import cleanrl, jd, planner, pth
 from astray.agents.importers.imported import Imported
+from astray.validation import brief
 
 READERS = {".pth": pth.read, ".pt": pth.read, ".jd": jd.read, ".cleanrl_model": cleanrl.read}
 LARGEST = 512_000_000  # bytes; the largest known, with its optimizer's state, is 44 MB
@@ -37,4 +38,4 @@ def read(path: Path) -> Imported:
     try:
         return reader(files.read(path, LARGEST))
     except ValueError as error:
-        raise ValueError(f"{path} is refused: {error}") from error
+        raise ValueError(f"{path} is refused: {brief(error)}") from error

@@ -31,7 +31,6 @@ FACTORIES = tuple(
     f"{m} {kind}" for m in ("builtins", "__builtin__") for kind in ("list", "dict", "int", "float")
 )
 TENSOR, PARAMETER = "torch._utils _rebuild_tensor_v2", "torch._utils _rebuild_parameter"
-FLOATS = "torch FloatStorage"
 NAMES = (WRAPPER, NDARRAY, DTYPE, BYTES, *SCALARS, *DICTS, *FACTORIES)  # that a file may mention
 KINDS = re.compile(r"b1|[iu][1248]|f[248]")  # of numbers in arrays
 NODES = 100_000  # that a file may make; those of RL-Clarity take a few hundred
@@ -41,18 +40,27 @@ KEYS = (str, int, float, bool, type(None))  # of a dict: whose hash is soon foun
 KEY_BITS = 60  # of an integer as a key; larger ones can all have one hash, which takes minutes
 PUSHED = (  # instructions that carry the value that they push
     "BINUNICODE", "SHORT_BINUNICODE", "BINUNICODE8", "BINBYTES", "SHORT_BINBYTES", "BINBYTES8",
-    "BININT", "BININT1", "BININT2", "LONG1", "LONG4", "BINFLOAT",
+    "BININT", "BININT1", "BININT2", "LONG1", "LONG4", "BINFLOAT", "SHORT_BINSTRING",
 )  # fmt: skip
 
 
-def read(data: bytes, storage: Callable[[str], bytes] | None = None) -> Any:
+Storage = Callable[[str, str, int], np.ndarray | None]
+
+
+def read(
+    data: bytes | io.BytesIO, storage: Storage | None = None, names: re.Pattern[str] | None = None
+) -> Any:
     """Return the plain data in a pickle or uncompressed joblib file; otherwise raise ValueError.
 
     Args:
-        storage: Function key -> bytes of a tensor, for the pickle in a file of torch. Objects
-            of any class are then read as `Foreign`, and their classes are not imported.
+        data: The bytes of a file, or a file, of which one pickle is read.
+        storage: Function (kind, key, count) -> numbers [count] of a tensor, or None to leave it
+            out, for the pickle in a file of torch. Objects of other classes are then read as
+            `Foreign`, and the classes are not imported.
+        names: Names that the pickle in a file of torch may mention, by default any.
     """
-    machine = _Machine(io.BytesIO(data), len(data), storage)
+    file = io.BytesIO(data) if isinstance(data, bytes) else data
+    machine = _Machine(file, file.getbuffer().nbytes, storage, names)
     try:
         for instruction, argument, _ in pickletools.genops(machine.file):
             machine.spend(1)
@@ -117,7 +125,8 @@ class _Pending:
 class _Machine:
     file: io.BytesIO
     size: int  # bytes of the file
-    storage: Callable[[str], bytes] | None = None  # if given, objects of any class are read
+    storage: Storage | None = None  # if given, objects of any class are read
+    names: re.Pattern[str] | None = None
     stack: list[Any] = field(default_factory=list)
     below: list[list[Any]] = field(default_factory=list)  # stacks under the marks
     memo: dict[int, Any] = field(default_factory=dict)
@@ -154,7 +163,8 @@ class _Machine:
             value.numbers.append(number)
 
     def named(self, argument: str) -> _Name:
-        if self.storage is None and argument not in NAMES:
+        known = argument in NAMES if self.storage is None else not self.names
+        if not known and not (self.names and self.names.fullmatch(argument)):
             asked = shown(argument.replace(" ", "."))[1:-1]
             raise Refused(
                 f"it asks for {asked}; only arrays and plain containers are read, and nothing in a "
@@ -192,6 +202,7 @@ class _Machine:
 
 def _stack_global(m: _Machine) -> None:
     name, module = _of(str, m.stack.pop()), _of(str, m.stack.pop())
+    m.spend((len(module) + len(name)) // 8)  # as of `BYTES`
     m.stack.append(m.named(f"{module} {name}"))
 
 
@@ -259,6 +270,8 @@ def _reduce(m: _Machine) -> None:
         dtype, data = arguments
         m.stack.append(np.frombuffer(data, dtype.numpy())[0].item())
     elif isinstance(name, _Name) and name.path in DICTS:
+        if m.storage and arguments:  # which torch copies, whatever it is
+            _of(list, arguments[0])
         pairs = arguments[0] if arguments and type(arguments[0]) is list else []
         m.spend(len(pairs))
         m.stack.append({_key(key): value for key, value in pairs})
@@ -272,23 +285,25 @@ def _reduce(m: _Machine) -> None:
         raise Refused(f"it calls {shown(getattr(name, 'path', name))}")
 
 
-def _tensor(flat: np.ndarray, offset: int, shape: tuple, strides: tuple) -> np.ndarray:
+def _tensor(flat: np.ndarray | None, offset: int, shape: Any, strides: Any) -> np.ndarray | None:
     """Return the part of a storage that a tensor is; its numbers must lie in order."""
-    numbers = (offset, *shape, *strides)
+    numbers = (offset, *_of(tuple, shape), *_of(tuple, strides))
     if any(type(n) is not int or n < 0 for n in numbers) or len(shape) > DIMENSIONS:
         raise ValueError("a tensor's shape and strides must be integers from 0 on")
+    if flat is None:
+        return None
     wanted = [math.prod(shape[k + 1 :]) for k in range(len(shape))]
     if list(strides) != wanted:
         raise Refused("it has a tensor whose numbers are not in order")
     return flat[offset : offset + math.prod(shape)].reshape(shape)
 
 
-def _stored(storage: Callable[[str], bytes], described: Any) -> np.ndarray:
+def _stored(storage: Storage, described: Any) -> np.ndarray | None:
     """Return the numbers [n] that a file of torch keeps under a key."""
-    kind, name, key, *_ = described
-    if kind != "storage" or name != _Name(FLOATS):
-        raise Refused("it keeps something other than numbers of 32 bits beside its data")
-    return np.frombuffer(storage(_of(str, key)), "<f4")
+    kind, name, key, _, count, *_ = _of(tuple, described)
+    if kind != "storage" or type(name) is not _Name or _of(int, count) < 0:
+        raise Refused("it keeps something other than numbers beside its data")
+    return storage(name.path, _of(str, key), count)
 
 
 def _new(m: _Machine) -> None:
@@ -305,6 +320,8 @@ def _build(m: _Machine) -> None:
     state, built = m.stack.pop(), m.stack[-1]
     if isinstance(built, Foreign):
         built.state = state
+    elif m.storage and type(built) is dict:
+        m.spend(len(_of(dict, state)))  # what torch notes of a state's modules
     elif isinstance(built, _Dtype):
         built.order = state[1]
     elif isinstance(built, _Pending):

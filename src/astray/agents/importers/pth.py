@@ -6,12 +6,10 @@ under other names, with any channels: images are divided by 255, actions are sam
 agents of train-procgen-pytorch have a GRU between the network and its heads.
 """
 
-import contextlib
 import io
-import pickle
-import pickletools
 import re
 import warnings
+import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,24 +17,24 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from astray.agents.importers import rllte
+from astray.agents.importers import plain, rllte
 from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, build, check_actions
 from astray.agents.policy import Architecture
 from astray.validation import shown
 
-MOST_AGAIN = 16  # times that a file takes a tuple out of its memo; those of torch never do
-MOST_TUPLES = 10_000  # of a file; those of IMPALA and its optimizer take some hundreds
+# Numbers in weights, and their bytes.
+SIZES = {
+    "DoubleStorage": 8, "FloatStorage": 4, "HalfStorage": 2, "BFloat16Storage": 2,
+    "LongStorage": 8, "IntStorage": 4, "ShortStorage": 2, "CharStorage": 1, "ByteStorage": 1,
+    "BoolStorage": 1,
+}  # fmt: skip
 # What weights are made of. Torch itself lets a file make empty memory of any size, as bytearrays.
 MADE_OF = re.compile(
-    r"collections OrderedDict|torch \w+Storage|torch\._utils _rebuild_(tensor(_v2)?|parameter)"
+    rf"collections OrderedDict|torch ({'|'.join(SIZES)})|"
+    r"torch\._utils _rebuild_(tensor(_v2)?|parameter)"
 )
-# Instructions after which what is on top is no tuple.
-MAKES_OTHERS = {
-    "BINUNICODE", "SHORT_BINUNICODE", "GLOBAL", "STACK_GLOBAL", "EMPTY_DICT", "EMPTY_LIST",
-    "BINPERSID", "REDUCE", "NEWOBJ", "BUILD", "SETITEM", "SETITEMS", "APPEND", "APPENDS",
-    "SHORT_BINBYTES", "BINBYTES", "LONG1",
-}  # fmt: skip
-LARGEST_PICKLE = 64_000_000  # bytes; the names and shapes of weights take some 10,000
+OLD_PICKLES = 5  # before the weights: a mark, the version, the machine, the data, keys of weights
+OTHERS = {"version", "byteorder"}  # parts of an archive besides its data
 HOLDS = ("model_state_dict", "state_dict")
 
 
@@ -136,67 +134,53 @@ def weights(data: bytes) -> dict[str, Tensor]:
 
 
 def _load(data: bytes) -> Any:
-    check_plain(data)
+    plain_file = _checked(data)
     try:
         with warnings.catch_warnings(action="ignore"):  # of a format that it then refuses
-            return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-    except pickle.UnpicklingError as error:
-        # What torch says besides is how to run the file all the same.
-        why = re.search(r"GLOBAL (\S+)", str(error))
-        raise ValueError(_more(why[1] if why else "")) from error
+            return torch.load(plain_file, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises nearly anything for what is no file of its own
         first = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise ValueError(f"it is damaged, or not a file of torch: {first}") from error
 
 
-def _more(asked: str) -> str:
-    """Return the reason for refusing a file that asks for a class or a function, if known."""
-    more = "it holds more than weights, or is damaged, and nothing in a file is run"
-    return f"{more}: it asks for {asked}" if asked else more
+def _checked(data: bytes) -> io.BytesIO:
+    """Return a file with the weights in a file of torch, and nothing that torch does not need.
 
+    Its pickles are read by `plain` first, whose work is bounded. Torch hashes any key: a tuple of
+    two equal tuples of two equal tuples and so on takes 2**depth steps. It copies a dictionary each
+    time that a file says so, and before 2.13 it takes weights from beyond a part that is too short.
 
-def check_plain(data: bytes) -> None:
-    """Raise ValueError if the pickles in a file contain more than weights need.
-
-    A tuple of two equal tuples of two equal tuples and so on is short, but takes 2**depth steps to
-    hash: as a key it would keep torch busy for ever. One nested 100,000 deep would crash it.
+    Raises:
+        ValueError: If the pickles contain more than weights.
     """
+    asked: dict[str, int] = {}
+
+    def noted(kind: str, key: str, count: int) -> None:
+        asked[key] = max(asked.get(key, 0), count * SIZES[kind.removeprefix("torch ")])
+
+    if not data.startswith(b"PK"):  # as torch wrote them before 1.6: pickles, then the weights
+        file = io.BytesIO(data)
+        for _ in range(OLD_PICKLES):
+            plain.read(file, noted, MADE_OF)
+        if sum(asked.values()) > len(data):
+            raise ValueError("its weights are more than the file holds")
+        return io.BytesIO(data)
     try:
-        with rllte.stored(data) as archive:
-            inside = [one for one in archive.infolist() if one.filename.endswith("data.pkl")]
-            if sum(one.file_size for one in inside) > LARGEST_PICKLE:
-                raise ValueError(f"its data.pkl has more than {LARGEST_PICKLE:,} bytes")
-            pickles = [archive.read(one) for one in inside]
-    except rllte.BROKEN as error:
-        if data.startswith(b"PK"):  # to torch it may be a whole one
-            raise ValueError(f"it is damaged, or not a file of torch: {error}") from error
-        pickles = [data]  # as torch wrote them before 1.6
-    for raw in pickles:
-        again, tuples, is_tuple = 0, 0, {}  # the latter as the memo's entries
-        asked: list[str] = []
-        with contextlib.suppress(Exception):  # what is no pickle torch refuses
-            file = io.BytesIO(raw)
-            while file.tell() < len(raw):
-                before = ""
-                for instruction, argument, _ in pickletools.genops(file):
-                    name = instruction.name
-                    tuples += name.startswith("TUPLE")
-                    if name in ("BINPUT", "LONG_BINPUT", "PUT", "MEMOIZE"):
-                        entry = len(is_tuple) if name == "MEMOIZE" else argument
-                        is_tuple[entry] = before not in MAKES_OTHERS
-                    elif name in ("BINGET", "LONG_BINGET", "GET"):
-                        again += is_tuple.get(argument, False)
-                    elif name == "DUP":
-                        again += MOST_AGAIN + 1
-                    elif name == "GLOBAL" and not MADE_OF.fullmatch(str(argument)):
-                        asked.append(str(argument).replace(" ", "."))
-                    before = name
-        if asked:
-            raise ValueError(_more(shown(asked[0])[1:-1]))
-        if again > MOST_AGAIN:
-            raise ValueError("it uses the same tuple many times, which weights do not need")
-        if tuples > MOST_TUPLES:
-            raise ValueError(f"it has more than {MOST_TUPLES:,} tuples, which weights do not need")
+        # Torch finds parts otherwise than Python: of any case, and in another table of contents.
+        with rllte.stored(data) as archive, zipfile.ZipFile(kept := io.BytesIO(), "w") as copy:
+            home = rllte.home_of(archive)
+            plain.read(raw := rllte.pickle_of(archive), noted, MADE_OF)
+            copy.writestr("archive/data.pkl", raw)
+            for part in OTHERS & {one.removeprefix(f"{home}/") for one in archive.namelist()}:
+                copy.writestr(f"archive/{part}", archive.read(f"{home}/{part}"))
+            for key, size in asked.items():
+                numbers = archive.read(f"{home}/data/{key}")
+                if len(numbers) < size:
+                    raise ValueError("its weights are more than the file holds")
+                copy.writestr(f"archive/data/{key}", numbers)
+    except (KeyError, *rllte.BROKEN) as error:
+        raise ValueError(f"it is damaged, or not a file of torch: {error}") from error
+    return io.BytesIO(kept.getvalue())
 
 
 def _tensors(found: Any, size: int) -> dict[str, Tensor]:

@@ -17,12 +17,14 @@ from typing import Any
 import numpy as np
 import torch
 
+from astray import files
 from astray.agents.importers import plain
 from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, build, check_actions
 from astray.agents.policy import Architecture
 
 MARK = b"crllte.common.utils\nExportModel\n"  # with which its pickles begin, after two bytes
 PICKLE = "/data.pkl"
+FLOATS = "torch FloatStorage"
 BROKEN = (  # errors of a damaged archive
     OSError, NotImplementedError, RuntimeError, EOFError, OverflowError, struct.error,
     zipfile.BadZipFile,
@@ -41,10 +43,8 @@ NAMES = (
 def is_module(data: bytes) -> bool:
     """Return whether the bytes of a file of torch are a module of RLLTE."""
     try:
-        with stored(data) as archive:
-            (name,) = (one for one in archive.namelist() if one.endswith(PICKLE))
-            with archive.open(name) as file:
-                return MARK in file.read(len(MARK) + 2)
+        with stored(data) as archive, archive.open(home_of(archive) + PICKLE) as file:
+            return MARK in file.read(len(MARK) + 2)
     except (ValueError, *BROKEN):
         return False
 
@@ -54,8 +54,10 @@ def stored(data: bytes) -> Iterator[zipfile.ZipFile]:
     """Open the archive in the bytes of a file of torch, whose parts together are no larger.
 
     Raises:
-        ValueError: If parts are compressed, or overlap: a few bytes could unpack to any size.
+        ValueError: If parts are compressed, overlap, or are too many: a few bytes could unpack to
+            any size.
     """
+    files.check_members(data)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         parts = archive.infolist()
         if any(one.compress_type != zipfile.ZIP_STORED for one in parts):
@@ -77,7 +79,7 @@ def read(data: bytes) -> Imported:
         raise ValueError("it has no actor of one layer, as agents of images have")
     check_actions(tensors["policy.bias"])
     convolutions = [tensors.get(f"block{k}.conv.weight") for k in (1, 2, 3)]
-    widths = tuple(len(c) for c in convolutions if c is not None)
+    widths = tuple(len(c) for c in convolutions if c is not None and c.ndim)
     architecture = Architecture("impala-rectified", SHAPE, (), ACTIONS, widths=widths)
     tensors |= {"value.weight": torch.zeros(1, 256), "value.bias": torch.zeros(1)}
     channels = "/".join(map(str, widths))
@@ -85,16 +87,35 @@ def read(data: bytes) -> Imported:
     return Imported(build(architecture.build, tensors), architecture, about)
 
 
+def home_of(archive: zipfile.ZipFile) -> str:
+    """Return the folder of all parts; raise ValueError if there is no pickle, or several."""
+    found = [one for one in archive.namelist() if one.endswith(PICKLE)]
+    if len(found) != 1:
+        raise ValueError(f"it is damaged, or not a file of torch: {len(found)} parts are a pickle")
+    return found[0].removesuffix(PICKLE)
+
+
+def pickle_of(archive: zipfile.ZipFile) -> bytes:
+    """Return the pickle in an archive; raise ValueError if it is far larger than any agent's."""
+    name = home_of(archive) + PICKLE
+    if archive.getinfo(name).file_size > LARGEST:
+        raise ValueError(f"its data.pkl has more than {LARGEST:,} bytes")
+    return archive.read(name)
+
+
 def _root(data: bytes) -> Any:
     try:
         with stored(data) as archive:
-            (name,) = (one for one in archive.namelist() if one.endswith(PICKLE))
-            if archive.getinfo(name).file_size > LARGEST:
-                raise ValueError(f"its data.pkl has more than {LARGEST:,} bytes")
-            home = name.removesuffix(PICKLE)
+            home = home_of(archive)
             # Once each: a pickle may ask for the same bytes any number of times.
-            numbers = functools.cache(lambda key: archive.read(f"{home}/data/{key}"))
-            return plain.read(archive.read(name), numbers)
+            read = functools.cache(lambda key: archive.read(f"{home}/data/{key}"))
+
+            def numbers(kind: str, key: str, count: int) -> np.ndarray:
+                if kind != FLOATS:
+                    raise ValueError("it keeps something other than numbers of 32 bits")
+                return np.frombuffer(read(key), "<f4")
+
+            return plain.read(pickle_of(archive), numbers)
     except BROKEN as error:
         raise ValueError(f"it is damaged, or not a file of torch: {error}") from error
 
