@@ -2,12 +2,13 @@
 
 import base64
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from astray import games
+from astray import games, grid
 from astray.acting import initial_states
 from astray.agents.policy import Architecture
 from astray.analysis.critic import policy_and_value
@@ -15,12 +16,12 @@ from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
 from astray.lab import goals
 from astray.lab.agents import Agents
-from astray.lab.export import export, file_names
+from astray.lab.export import check_exportable, export, file_names
 from astray.lab.link import link
 from astray.lab.messages import read
 from astray.lab.serving import make_lab
 from astray.lab.session import Lab, Session
-from astray.lab.worlds import read_world
+from astray.lab.worlds import is_drawn, read_world
 from astray.level import Level
 from astray.training.ppo import RewardNormaliser, advantages
 from helpers.browsed import PLAY, folder_served, knobs, opened, wait
@@ -309,6 +310,29 @@ def test_an_agent_with_knobs_has_levels_of_its_own(chrome, untrained, tmp_path):
             (s,) = initial_states(game, variant, [number])
             assert level["text"] == str(Level.of(game, variant, s))
         assert not told
+
+
+def test_levels_of_an_agent_are_in_no_file_of_another_variants(untrained, tmp_path):
+    """Those of an agent called "small" with knobs of its own, and those of "anywhere-small"."""
+    architecture = Architecture("mlp", (4, 25, 25), (1, 1, 6, 6), 15, width=8)
+    own = {"variant": "corner", "validation": "anywhere", "knobs": {"time_limit": 50}, "width": 8}
+    untrained(tmp_path / "run", architecture, **own)
+    start = {"game": "maze", "variant": "anywhere-small", "level": 0, "agent": ""}
+    export(Lab(Agents.of({"small": tmp_path / "run"}), start), tmp_path / "site", 1, ["small"])
+    index = json.loads((tmp_path / "site" / "data" / "index.json").read_text())
+    files = index["agents"]["small"]["levels"]["anywhere"], "data/levels/maze/anywhere-small.json"
+    levels = [json.loads((tmp_path / "site" / file).read_text())["levels"][0] for file in files]
+    assert [len(level["text"].splitlines()) for level in levels] == [25, 7]
+
+
+@pytest.mark.parametrize("name", ["thief", "grid", "kernels", "maze-kernels"])
+def test_a_guest_with_the_name_of_a_file_is_drawn_as_a_guest_and_not_exported(name, monkeypatch):
+    game = replace(games.find("pottery"), name=name)
+    monkeypatch.setitem(games._registered, name, game)
+    monkeypatch.setitem(grid._MADE, game, grid.world_of(games.find("pottery")))
+    assert not is_drawn(game)
+    with pytest.raises(ValueError, match=f"{name} must be a world .* with a name that no file"):
+        check_exportable(make_lab("maze-corner", {}), [], {name: "corner"})
 
 
 def test_nothing_is_written_over_and_nothing_outside(tmp_path):

@@ -288,8 +288,7 @@ def test_bad_settings_are_explained(change, message):
 
 FORBIDDEN = {"pickle", "joblib", "dill", "marshal", "shelve", "cloudpickle"}  # modules
 READS = {  # what reads pickles all the same, and why nothing in them is run
-    "agents/importers/pth.py",  # torch.load with weights_only; pickle for the error's type alone
-    "kernel/stored.py",  # numba's own compiled code, in a folder of the user's alone
+    "kernel/stored.py"  # numba's own compiled code, in a folder of the user's alone
 }
 
 

@@ -25,8 +25,7 @@ import numpy as np
 import platformdirs
 from PIL import Image
 
-from astray.files import check_members, hold, write_aside
-from astray.files import read as read_file
+from astray.files import check_members, check_readable, hold, write_aside
 from astray.game import Looks
 from astray.kernel.qt import GENERIC, SPRITE
 from astray.validation import shown
@@ -147,9 +146,9 @@ def _download(to: Path) -> Path:
 
 
 def _read_wheel(wheel: Path) -> dict[str, bytes]:
-    data = read_file(wheel, LARGEST_WHEEL)
+    check_readable(wheel, LARGEST_WHEEL)
     try:
-        check_members(data)
+        check_members(wheel.read_bytes())
         with zipfile.ZipFile(wheel) as archive:
             there = {member.filename: member for member in archive.infolist()}
             for member in there.values():

@@ -84,8 +84,9 @@ def check_exportable(
         if not is_played(games.find(game)):
             drawn = ", ".join(name for name in games.OWN if is_played(games.find(name)))
             raise ValueError(
-                f"{game} must be a world of `astray.grid` to be exported, or one of {drawn}: "
-                "without Python, a page plays no other; astray lab without --export shows any"
+                f"{game} must be a world of `astray.grid` to be exported, with a name that no file "
+                f"of the page's rules has, or one of {drawn}: without Python, a page plays no "
+                "other; astray lab without --export shows any"
             )
     for game, variant in further.items():
         games.find(game).variant(variant)
@@ -131,7 +132,7 @@ def _write_data(
         found[game.name] = told | {n: {v: told[n][v] for v in variants} for n in names}
         for name in variants:
             data = {"levels": _levels(game, game.variant(name), levels)}
-            _write(folder / "levels" / f"{game.name}-{name}.json", data)
+            _write(folder / "levels" / game.name / f"{name}.json", data)
     for name in agents:
         told = about[called[name]]
         told["variants"] = [v for v in told["variants"] if v in found[told["game"]]["variants"]]
@@ -196,7 +197,7 @@ def _write_own_levels(
     game = config.find_game()
     told["levels"] = {}
     for variant in (name for name in told["variants"] if name in told["knobs"]):
-        path = f"data/levels/{game.name}-{variant}-{name}.json"
+        path = f"data/own/{name}/{variant}.json"  # no other agent has this name
         _write(folder.parent / path, {"levels": _levels(game, config.variant_for(variant), count)})
         told["levels"][variant] = path
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -118,13 +119,17 @@ def shown_fields(game: Game) -> tuple[str, ...]:
 
 def is_drawn(game: Game) -> bool:
     """Return whether the page has a module that draws the game; otherwise it draws cells."""
-    return (PAGE / "games" / f"{game.name}.js").is_file()
+    return game.name in games.OWN and (PAGE / "games" / f"{game.name}.js").is_file()
 
 
 def is_played(game: Game) -> bool:
-    """Return whether the page can play the game without Python."""
-    there = (PAGE / "rules" / f"{game.name}.js").is_file()
-    return there or grid.world_of(game) is not None
+    """Return whether the page can play the game without Python, under a name of its own."""
+    is_world, there = grid.world_of(game) is not None, PAGE / "rules" / f"{game.name}.js"
+    if game.name in games.OWN:
+        return is_world or there.is_file()
+    return (
+        is_world and not there.is_file() and not re.fullmatch(r"constants|(.*-)?kernels", game.name)
+    )
 
 
 def snapshot(game: Game, s: Any) -> dict[str, Any]:

@@ -19,12 +19,9 @@ from astray.validation import shown
 
 SCOPE = "ppo2_model/"
 CONVOLUTIONS = {
-    "pi/1a/conv2d": "block1.conv1",
-    "pi/2a/conv2d": "block2.conv1",
-    "pi/2b/conv2d": "block2.conv2",
-    "pi/3a/conv2d": "block3.conv1",
-    "pi/4a/conv2d": "block4.conv1",
-}
+    "pi/1a/conv2d": "block1.conv1", "pi/2a/conv2d": "block2.conv1", "pi/2b/conv2d": "block2.conv2",
+    "pi/3a/conv2d": "block3.conv1", "pi/4a/conv2d": "block4.conv1",
+}  # fmt: skip
 DENSE = {"pi/dense": "features.linear1", "pi/dense_1": "features.linear2"}
 HEADS = {"pi": "policy", "vf": "value"}
 # Of a training, as the files name them and as we do.

@@ -334,24 +334,12 @@ def _build(m: _Machine) -> None:
 
 
 DONE: dict[str, Callable[[_Machine], None]] = {
-    "STACK_GLOBAL": _stack_global,
-    "MARK": _mark,
-    "MEMOIZE": lambda m: m.note(len(m.memo)),
+    "STACK_GLOBAL": _stack_global, "REDUCE": _reduce, "NEWOBJ": _new, "BUILD": _build,
+    "MARK": _mark, "MEMOIZE": lambda m: m.note(len(m.memo)),
     "NONE": lambda m: m.stack.append(None),
-    "NEWTRUE": lambda m: m.stack.append(True),
-    "NEWFALSE": lambda m: m.stack.append(False),
-    "EMPTY_DICT": lambda m: m.stack.append({}),
-    "EMPTY_LIST": lambda m: m.stack.append([]),
+    "NEWTRUE": lambda m: m.stack.append(True), "NEWFALSE": lambda m: m.stack.append(False),
+    "EMPTY_DICT": lambda m: m.stack.append({}), "EMPTY_LIST": lambda m: m.stack.append([]),
     "EMPTY_TUPLE": lambda m: m.stack.append(()),
-    "TUPLE": _marked_tuple,
-    "TUPLE1": _tuple(1),
-    "TUPLE2": _tuple(2),
-    "TUPLE3": _tuple(3),
-    "APPEND": _append,
-    "APPENDS": _appends,
-    "SETITEM": _set_item,
-    "SETITEMS": _set_items,
-    "REDUCE": _reduce,
-    "NEWOBJ": _new,
-    "BUILD": _build,
-}
+    "TUPLE": _marked_tuple, "TUPLE1": _tuple(1), "TUPLE2": _tuple(2), "TUPLE3": _tuple(3),
+    "APPEND": _append, "APPENDS": _appends, "SETITEM": _set_item, "SETITEMS": _set_items,
+}  # fmt: skip

@@ -22,15 +22,12 @@ from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, build, ch
 from astray.agents.policy import Architecture
 from astray.validation import shown
 
-# Numbers in weights, and their bytes.
-SIZES = {
-    "DoubleStorage": 8, "FloatStorage": 4, "HalfStorage": 2, "BFloat16Storage": 2,
-    "LongStorage": 8, "IntStorage": 4, "ShortStorage": 2, "CharStorage": 1, "ByteStorage": 1,
-    "BoolStorage": 1,
-}  # fmt: skip
+# Kinds of numbers in weights, and their bytes.
+SIZES = {"Double": 8, "Long": 8, "Float": 4, "Int": 4, "Half": 2, "BFloat16": 2, "Short": 2,
+         "Char": 1, "Byte": 1, "Bool": 1}  # fmt: skip
 # What weights are made of. Torch itself lets a file make empty memory of any size, as bytearrays.
 MADE_OF = re.compile(
-    rf"collections OrderedDict|torch ({'|'.join(SIZES)})|"
+    rf"collections OrderedDict|torch ({'|'.join(SIZES)})Storage|"
     r"torch\._utils _rebuild_(tensor(_v2)?|parameter)"
 )
 OLD_PICKLES = 5  # before the weights: a mark, the version, the machine, the data, keys of weights
@@ -58,42 +55,21 @@ def _plus_one(match: re.Match[str]) -> str:
 
 
 PROGRAMS = (
-    Names(
-        "train-procgen-pytorch",
-        ("embedder.block1.conv.weight", "fc_policy.weight"),
-        (
-            (r"^embedder\.fc\.", "features.linear."),
-            (r"^embedder\.", ""),
-            (r"\.res(?=\d)", ".residual"),
-            (r"^fc_", ""),
-            (r"^gru\.gru\.(.*)_l0$", r"cell.\1"),
-        ),
-    ),
-    Names(
-        "train-procgen-pfrl",
-        ("conv_seqs.0.conv.weight", "logits_fc.weight"),
-        (
-            (r"^conv_seqs\.\d|res_block\d|conv\d", _plus_one),
-            (r"^conv_seqs\.", "block"),
-            (r"\.res_block", ".residual"),
-            (r"^hidden_fc\.", "features.linear."),
-            (r"^logits_fc\.", "policy."),
-            (r"^value_fc\.", "value."),
-        ),
-    ),
-    Names(
-        "CleanRL's ppo_procgen",
-        ("network.0.conv.weight", "actor.weight"),
-        (
-            (r"^network\.5\.", "features.linear."),
-            (r"^network\.\d|res_block\d|conv\d", _plus_one),
-            (r"^network\.", "block"),
-            (r"\.res_block", ".residual"),
-            (r"^actor\.", "policy."),
-            (r"^critic\.", "value."),
-        ),
-    ),
-)
+    Names("train-procgen-pytorch", ("embedder.block1.conv.weight", "fc_policy.weight"), (
+        (r"^embedder\.fc\.", "features.linear."), (r"^embedder\.", ""),
+        (r"\.res(?=\d)", ".residual"), (r"^fc_", ""), (r"^gru\.gru\.(.*)_l0$", r"cell.\1"),
+    )),
+    Names("train-procgen-pfrl", ("conv_seqs.0.conv.weight", "logits_fc.weight"), (
+        (r"^conv_seqs\.\d|res_block\d|conv\d", _plus_one), (r"^conv_seqs\.", "block"),
+        (r"\.res_block", ".residual"), (r"^hidden_fc\.", "features.linear."),
+        (r"^logits_fc\.", "policy."), (r"^value_fc\.", "value."),
+    )),
+    Names("CleanRL's ppo_procgen", ("network.0.conv.weight", "actor.weight"), (
+        (r"^network\.5\.", "features.linear."), (r"^network\.\d|res_block\d|conv\d", _plus_one),
+        (r"^network\.", "block"), (r"\.res_block", ".residual"),
+        (r"^actor\.", "policy."), (r"^critic\.", "value."),
+    )),
+)  # fmt: skip
 
 
 def read(data: bytes) -> Imported:
@@ -130,17 +106,14 @@ def weights(data: bytes) -> dict[str, Tensor]:
     Raises:
         ValueError: If the bytes are damaged or hold more than weights.
     """
-    return _tensors(_load(data), len(data))
-
-
-def _load(data: bytes) -> Any:
-    plain_file = _checked(data)
+    file = _checked(data)
     try:
         with warnings.catch_warnings(action="ignore"):  # of a format that it then refuses
-            return torch.load(plain_file, map_location="cpu", weights_only=True)
+            found = torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises nearly anything for what is no file of its own
         first = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise ValueError(f"it is damaged, or not a file of torch: {first}") from error
+    return _tensors(found, len(data))
 
 
 def _checked(data: bytes) -> io.BytesIO:
@@ -156,7 +129,7 @@ def _checked(data: bytes) -> io.BytesIO:
     asked: dict[str, int] = {}
 
     def noted(kind: str, key: str, count: int) -> None:
-        asked[key] = max(asked.get(key, 0), count * SIZES[kind.removeprefix("torch ")])
+        asked[key] = max(asked.get(key, 0), count * SIZES[kind[6:-7]])
 
     if not data.startswith(b"PK"):  # as torch wrote them before 1.6: pickles, then the weights
         file = io.BytesIO(data)
@@ -168,8 +141,8 @@ def _checked(data: bytes) -> io.BytesIO:
     try:
         # Torch finds parts otherwise than Python: of any case, and in another table of contents.
         with rllte.stored(data) as archive, zipfile.ZipFile(kept := io.BytesIO(), "w") as copy:
-            home = rllte.home_of(archive)
-            plain.read(raw := rllte.pickle_of(archive), noted, MADE_OF)
+            home, raw = rllte.pickle_of(archive)
+            plain.read(raw, noted, MADE_OF)
             copy.writestr("archive/data.pkl", raw)
             for part in OTHERS & {one.removeprefix(f"{home}/") for one in archive.namelist()}:
                 copy.writestr(f"archive/{part}", archive.read(f"{home}/{part}"))

@@ -25,26 +25,23 @@ from astray.agents.policy import Architecture
 MARK = b"crllte.common.utils\nExportModel\n"  # with which its pickles begin, after two bytes
 PICKLE = "/data.pkl"
 FLOATS = "torch FloatStorage"
-BROKEN = (  # errors of a damaged archive
-    OSError, NotImplementedError, RuntimeError, EOFError, OverflowError, struct.error,
-    zipfile.BadZipFile,
-)  # fmt: skip
+# Errors of a damaged archive.
+BROKEN = (OSError, RuntimeError, EOFError, OverflowError, struct.error, zipfile.BadZipFile)
 LARGEST = 4_000_000  # bytes of a pickle; those of its agents have some 10,000
 DEEPEST, MOST = 8, 200  # modules in each other, and modules in all
 NAMES = (
-    (r"^encoder\.trunk\.4\.", "features.linear."),
-    (r"^actor\.actor\.", "policy."),
+    (r"^encoder\.trunk\.4\.", "features.linear."), (r"^actor\.actor\.", "policy."),
     (r"^encoder\.trunk\.([012])\.main\.", lambda m: f"block{int(m[1]) + 1}."),
     (r"^(block\d)\.0\.", r"\1.conv."),
     (r"^(block\d)\.([23])\.", lambda m: f"{m[1]}.residual{int(m[2]) - 1}."),
-)
+)  # fmt: skip
 
 
 def is_module(data: bytes) -> bool:
     """Return whether the bytes of a file of torch are a module of RLLTE."""
     try:
-        with stored(data) as archive, archive.open(home_of(archive) + PICKLE) as file:
-            return MARK in file.read(len(MARK) + 2)
+        with stored(data) as archive:
+            return MARK in pickle_of(archive)[1][: len(MARK) + 2]
     except (ValueError, *BROKEN):
         return False
 
@@ -54,8 +51,7 @@ def stored(data: bytes) -> Iterator[zipfile.ZipFile]:
     """Open the archive in the bytes of a file of torch, whose parts together are no larger.
 
     Raises:
-        ValueError: If parts are compressed, overlap, or are too many: a few bytes could unpack to
-            any size.
+        ValueError: If parts are compressed, overlap or are too many, and could be of any size.
     """
     files.check_members(data)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -87,26 +83,23 @@ def read(data: bytes) -> Imported:
     return Imported(build(architecture.build, tensors), architecture, about)
 
 
-def home_of(archive: zipfile.ZipFile) -> str:
-    """Return the folder of all parts; raise ValueError if there is no pickle, or several."""
+def pickle_of(archive: zipfile.ZipFile) -> tuple[str, bytes]:
+    """Return the folder of an archive's parts, and the pickle; raise ValueError if there is none.
+
+    Several, and one that is far larger than any agent's, are refused, too.
+    """
     found = [one for one in archive.namelist() if one.endswith(PICKLE)]
     if len(found) != 1:
         raise ValueError(f"it is damaged, or not a file of torch: {len(found)} parts are a pickle")
-    return found[0].removesuffix(PICKLE)
-
-
-def pickle_of(archive: zipfile.ZipFile) -> bytes:
-    """Return the pickle in an archive; raise ValueError if it is far larger than any agent's."""
-    name = home_of(archive) + PICKLE
-    if archive.getinfo(name).file_size > LARGEST:
+    if archive.getinfo(found[0]).file_size > LARGEST:
         raise ValueError(f"its data.pkl has more than {LARGEST:,} bytes")
-    return archive.read(name)
+    return found[0].removesuffix(PICKLE), archive.read(found[0])
 
 
 def _root(data: bytes) -> Any:
     try:
         with stored(data) as archive:
-            home = home_of(archive)
+            home, raw = pickle_of(archive)
             # Once each: a pickle may ask for the same bytes any number of times.
             read = functools.cache(lambda key: archive.read(f"{home}/data/{key}"))
 
@@ -115,7 +108,7 @@ def _root(data: bytes) -> Any:
                     raise ValueError("it keeps something other than numbers of 32 bits")
                 return np.frombuffer(read(key), "<f4")
 
-            return plain.read(pickle_of(archive), numbers)
+            return plain.read(raw, numbers)
     except BROKEN as error:
         raise ValueError(f"it is damaged, or not a file of torch: {error}") from error
 

@@ -78,7 +78,7 @@ export class LocalEngine {
     let [given, number] = [level, null];
     if (typeof level === "number") {
       const own = this.about.agents[agent]?.levels?.[variant]; // of an agent with knobs of its own
-      const { levels } = await this.file(own ?? `data/levels/${game}-${variant}.json`);
+      const { levels } = await this.file(own ?? `data/levels/${game}/${variant}.json`);
       const kept = levels.find((one) => one.number === level);
       if (!kept) throw new Error(`This page has levels 0 to ${levels.length - 1} of it; others need Python: astray lab.`);
       number = level;
