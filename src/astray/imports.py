@@ -3,6 +3,7 @@
 import contextlib
 import importlib
 import logging
+import os
 import re
 import sys
 import threading
@@ -23,13 +24,13 @@ class Terminated(KeyboardInterrupt):
 
 
 class _Lent:
-    """The standard streams while users' code runs, which may print to, close or replace them.
+    """The standard streams while users' code runs, which may write to, close or replace them.
 
     Threads that run such code at once share what is lent: the first lends, the last takes back.
     """
 
     def __init__(self) -> None:
-        self.lock, self.inside = threading.Lock(), 0
+        self.lock, self.inside, self.output = threading.Lock(), 0, 0
         self.own = sys.stdout, sys.stderr
 
     def __enter__(self) -> None:
@@ -37,15 +38,24 @@ class _Lent:
             self.inside += 1
             if self.inside > 1:
                 return
-            self.own = sys.stdout, sys.stderr
+            self.own, self.output = (sys.stdout, sys.stderr), 0
             if sys.__stderr__ and sys.stdout is sys.__stdout__:  # a program may read the output
                 stream = open(2, "w", 1, errors="backslashreplace", closefd=False)
                 sys.stdout = sys.stderr = stream
+                with contextlib.suppress(AttributeError, OSError, ValueError):  # none, or closed
+                    sys.__stdout__.flush()  # pyright: ignore
+                    self.output = os.dup(1)
+                    os.dup2(2, 1)
 
     def __exit__(self, *_: object) -> None:
         with self.lock:
             self.inside -= 1
             if not self.inside:
+                if self.output:
+                    with contextlib.suppress(AttributeError, OSError, ValueError):
+                        sys.__stdout__.flush()  # pyright: ignore
+                    os.dup2(self.output, 1)
+                    os.close(self.output)
                 sys.stdout, sys.stderr = self.own
 
 

@@ -172,8 +172,9 @@ class Level:
         try:
             s = game.editing.build(self.cells, self.agent, self.looks, self.variant)
         except (TypeError, IndexError, OverflowError, ValueError) as error:
-            if isinstance(error, ValueError) and not self._is_built_without_looks():
+            if not self.looks:
                 raise
+            replace(self, looks={}).state(solvable=False)  # raises what else is wrong
             raise ValueError(
                 f"a level's looks are {shown(dict(self.looks))}; these cannot be: {error}"
             ) from error
@@ -189,14 +190,6 @@ class Level:
                             f"the {name} at cell {cell} cannot be reached from {self.agent}"
                         )
         return s
-
-    def _is_built_without_looks(self) -> bool:
-        """Return whether the level is valid if the game chooses its looks."""
-        try:
-            self.game.editing.build(self.cells, self.agent, {}, self.variant)
-        except ValueError:
-            return False
-        return True
 
     def to_json(self) -> dict[str, Any]:
         """Return the level as JSON-serialisable data; see the game's `describe`."""

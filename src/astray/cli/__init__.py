@@ -17,6 +17,7 @@ INTERRUPTED = 130  # as shells say it: 128 and the number of the signal, SIGINT
 LONGEST = 1200  # characters of a mistake; the longest list of what there is has 800
 UNREAD = 141  # likewise SIGPIPE: nobody reads what is written, as in `astray list | head -1`
 TERMINATED = 143  # likewise SIGTERM
+NAMES = {MemoryError: "there is not enough memory"}  # of errors without words
 
 
 def main() -> None:
@@ -44,11 +45,8 @@ def main() -> None:
     except KeyboardInterrupt:
         _tell("interrupted")
         code = INTERRUPTED
-    except MemoryError as error:
-        _tell(str(error) or "there is not enough memory")
-        code = MISTAKE
-    except (ValueError, OSError, RuntimeError, ImportError, OverflowError) as error:
-        _tell(str(error) or type(error).__name__)
+    except (ValueError, OSError, RuntimeError, ImportError, OverflowError, MemoryError) as error:
+        _tell(str(error) or NAMES.get(type(error), type(error).__name__))
         code = MISTAKE
     if code:
         _give_up_output()

@@ -35,8 +35,7 @@ def list_(json: Json = False) -> None:
         "presets": list(PRESETS),
     }
     if json:
-        print_json(found)
-        return
+        return print_json(found)
     for name, game in described.items():
         table = Table("variant", "levels", box=None, padding=(0, 2))
         for variant, about in game["variants"].items():
