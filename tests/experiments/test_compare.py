@@ -14,6 +14,8 @@ from astray.analysis.adapters import Function
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.policies import Random
 from astray.analysis.results import Result
+from astray.cli import pages
+from astray.cli.arguments import Acting
 from astray.experiments.compare import _short, compare, paired
 from astray.report.findings import Plot
 from astray.training import folders
@@ -142,3 +144,16 @@ def test_trainings_without_returns_are_compared_without_curves(
     monkeypatch.setattr("astray.experiments.compare.evaluate_policies", None)  # nobody plays
     told = astray("compare", *runs, "--levels", "0:3", "--out", out, fails=True)
     assert "metrics.jsonl, line 1: it is not JSON" in told
+
+
+def test_knobs_that_were_given_in_another_order_are_the_same(tmp_path, monkeypatch):
+    given, played = {"time_limit": 50, "walls": "hedge"}, []
+    small = replace(astray.PRESETS["small"], variant="corner-small")
+    configs = iter(replace(small, knobs=dict(k)) for k in (given.items(), [*given.items()][::-1]))
+    monkeypatch.setattr(Acting, "open", lambda *_: (Random(), next(configs)))
+    page = "astray.experiments.compare.compare"
+    monkeypatch.setattr(page, lambda *_, **named: played.append(named["variant"]))
+    for name in "ab":
+        (tmp_path / name).mkdir()
+    pages.compare((str(tmp_path / "a"), str(tmp_path / "b")), out=tmp_path / "page")
+    assert (played[0].time_limit, played[0].walls) == (50, "hedge")

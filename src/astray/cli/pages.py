@@ -188,7 +188,7 @@ def compare(
     found = {config.find_game().name for config in configs} | (set() if game is None else {game})
     if len(found) > 1:
         raise ValueError(f"agents must play one game; got {', '.join(sorted(found))}")
-    if len({str(config.knobs) for config in configs}) > 1:
+    if any(config.knobs != configs[0].knobs for config in configs):
         raise ValueError(
             "agents must be trained with the same knobs, for the test to have them; got "
             + "; ".join(str(dict(config.knobs)) for config in configs)
