@@ -8,6 +8,7 @@ data make it harder to support. Claims of one page are `corrected` for their num
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from astray.analysis.estimates import CONFIDENCE, quantile
 from astray.estimate import Estimate
@@ -54,18 +55,10 @@ def above(
 
 
 def below(
-    sentence: str,
-    paper: str,
-    measured: str,
-    estimate: Estimate,
-    bound: float = 0.0,
-    *,
-    told: Callable[[Estimate], str] = Estimate.percent,
-    why: str = "",
+    sentence: str, paper: str, measured: str, estimate: Estimate, bound: float = 0.0, **how: Any
 ) -> Claim:
     """Test the claim that a result is below `bound`; arguments as in `above`."""
-    bounds = -math.inf, bound
-    return within(sentence, paper, measured, estimate, bounds, told=told, why=why)
+    return within(sentence, paper, measured, estimate, (-math.inf, bound), **how)
 
 
 def within(

@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
+from itertools import repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -134,12 +135,13 @@ class Player:
         running, first = self.running_return[step.where], self.here.start + step.where.start
         running += step.reward
         self._paid.append((step.t, first, step.reward.copy()))
-        for i in np.flatnonzero(step.terminated | step.truncated):
+        which = np.flatnonzero(step.terminated | step.truncated)
+        if len(which):
             final = info["final_info"]
-            happened = [float(final[event][i] >= 0) for event in self.events]
-            row = [float(running[i]), float(final["time"][i]), *happened]
-            self._ended.append((step.t, first + int(i), row))
-            running[i] = 0.0
+            told = [running, final["time"], *(final[event] >= 0 for event in self.events)]
+            rows = np.stack([column[which] for column in told], 1).astype(float).tolist()
+            self._ended += zip(repeat(step.t), (first + which).tolist(), rows)
+            running[which] = 0.0
 
     def plan(self, steps: int) -> None:
         """Begin the sampler's next plan; raise ValueError if it or its levels are invalid."""

@@ -224,6 +224,9 @@ def accelerate(
             "Python's headers",
             stacklevel=2,
         )
+    if using.fused_cpu:  # the kernels add columns of the first weights, so that each lies in a row
+        first = next(network.parameters())
+        first.data = first.data.T.contiguous().T
     if using.of_network:
         model = Model(network, loss, config, using)
         return Accelerated(using, model.outputs, model, model.loss, loss, config)
