@@ -17,7 +17,7 @@ INTERRUPTED = 130  # as shells say it: 128 and the number of the signal, SIGINT
 LONGEST = 1200  # characters of a mistake; the longest list of what there is has 800
 UNREAD = 141  # likewise SIGPIPE: nobody reads what is written, as in `astray list | head -1`
 TERMINATED = 143  # likewise SIGTERM
-NAMES = {MemoryError: "there is not enough memory"}  # of errors without words
+NAMES: dict[type, str] = {MemoryError: "there is not enough memory"}  # of errors without words
 
 
 def main() -> None:

@@ -114,7 +114,7 @@ def _kept(value: Any) -> Any:
     """Return a value that numba keeps, such that its `repr` is complete."""
     if isinstance(value, np.ndarray | np.void):
         return value.dtype.descr, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
-    if isinstance(value, enum.EnumType):
+    if isinstance(value, type) and issubclass(value, enum.Enum):
         return [(name, _kept(one.value)) for name, one in value.__members__.items()]
     if isinstance(value, enum.Enum):
         return value.name, _kept(value.value)
