@@ -28,6 +28,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.game import OWN, Game, Variant
 from astray.level import Level
 from astray.record import NEVER
+from astray.validation import shown
 
 LOG = logging.getLogger("astray")
 SLOW = 15  # seconds of CPU time for compiling a game; astray's own take 8 to 17
@@ -46,8 +47,8 @@ def check_game(game: Game, variants: Iterable[str] | None = None) -> None:
     Raises:
         AssertionError: If a check fails.
     """
-    report_compiling(game)
     check_parts(game)
+    report_compiling(game)
     for name in game.variants if variants is None else variants:
         for check in CHECKS:
             check(game, game.variant(name))
@@ -69,12 +70,13 @@ def report_compiling(game: Game) -> None:
 
 def check_parts(game: Game) -> None:
     """Check that events are fields, that there is art, and that variants are of one class."""
-    fields: Any = game.state.fields
+    assert isinstance(game, Game), f"a game must be a Game, not its name; got {shown(game)}"
+    kinds: Any = {name: game.state[name] for name in game.state.names or ()}
     for event in game.events:
-        assert fields[event][0] == np.int64, f"the event {event!r} must be an int64 of the state"
+        assert kinds.get(event) == np.int64, f"the event {event!r} must be an int64 of the state"
     assert OWN in game.looks, f"looks must have {OWN!r}; got {', '.join(game.looks)}"
-    kinds = {type(variant) for variant in game.variants.values()}
-    assert len(kinds) == 1, f"variants must be of one class; got {kinds}"
+    of = (*{type(variant) for variant in game.variants.values()},)
+    assert len(of) == 1 and issubclass(of[0], Variant), f"variants must be of one class; got {of}"
 
 
 def check_batches(game: Game, variant: Variant) -> None:

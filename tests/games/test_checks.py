@@ -124,3 +124,30 @@ def test_an_agent_is_put_as_a_level_would_begin_with_it_there(game):
         there = Level(game, variant, level.cells, tuple(cell), level.looks).state(solvable=False)
         events = set(game.events)  # a mouse may begin in its corner
         assert all(np.array_equal(state[n], there[n]) for n in state.dtype.names if n not in events)
+
+
+def of_states(kind):
+    """Maze, whose states have one field, an event of this kind."""
+    rules = SimpleNamespace(ACTIONS=("stay",), STATE=np.dtype([("end", kind)]), EVENTS=("end",))
+    rules.step = GAME.rules.step
+    return replace(GAME, rules=rules, goals={}, shifts={})
+
+
+@pytest.mark.parametrize(
+    ("game", "said"),
+    [
+        (lambda: "maze", "a game must be a Game, not its name; got 'maze'"),
+        (lambda: of_states(np.int32), "the event 'end' must be an int64 of the state"),
+        (
+            lambda: replace(of_states(np.int64), rules=SimpleNamespace(
+                ACTIONS=("stay",), STATE=GAME.state, EVENTS=("lost",), step=GAME.rules.step
+            )),
+            "the event 'lost' must be an int64 of the state",
+        ),
+        (lambda: replace(GAME, variants={"a": None}, shifts={}), "of one class; got .*NoneType"),
+    ],
+)  # fmt: skip
+def test_a_game_with_wrong_parts_is_told_before_it_is_compiled(game, said, monkeypatch):
+    monkeypatch.setattr(testing, "compiled_loop", lambda game: pytest.fail("compiled"))
+    with pytest.raises(AssertionError, match=said):
+        testing.check_game(game(), variants=[])

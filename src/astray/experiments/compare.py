@@ -80,10 +80,8 @@ def compare(
     result = evaluate_policies(tested, game, shift, levels, variant=variant, longest=longest)
     rates, episodes = (one.with_columns(pl.col("policy").replace(short)) for one in result)
     agents = tuple(short[name] for name in result.agents)
-    result, names = (
-        replace(result, rates=rates, episodes=episodes, agents=agents),
-        [*short.values()],
-    )
+    result = replace(result, rates=rates, episodes=episodes, agents=agents)
+    names = [*short.values()]
     rates = _in_order(result.rates, names)
     differences = paired(result, names)
     where: Any = variant or between.test
