@@ -23,7 +23,7 @@ from astray.protocols import (
     Symbols,
 )
 from astray.record import check_states
-from astray.validation import finite, of_kind, one_of, shown
+from astray.validation import check_words, finite, of_kind, one_of, shown
 from astray.variant import Variant as Variant
 
 OWN = "own"  # name of astray's own art
@@ -220,7 +220,8 @@ class Game:
     real_time: bool = False  # things move while the agent stays; otherwise a player may take time
 
     def __post_init__(self) -> None:
-        of_kind("about", self.about, str)
+        check_words(self)
+        of_kind("benchmark", self.benchmark, Benchmark | None)
         for part, kind in PARTS.items():
             given = getattr(self, part)
             if part not in ABILITIES or not isinstance(given, Missing | None):

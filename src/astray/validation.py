@@ -38,7 +38,7 @@ def of_kind(name: str, given: Any, kind: Any) -> None:
     """Raise ValueError unless the argument `name` is an instance of `kind`: a class or `A | B`."""
     if not isinstance(given, kind):
         words = " or ".join(k.__name__ for k in getattr(kind, "__args__", (kind,)))
-        words = words.replace("Callable", "function")
+        words = words.replace("Callable", "function").replace("NoneType", "None")
         raise ValueError(f"{name} must be a {words}; got {shown(given)}")
 
 

@@ -37,6 +37,10 @@ SOURCES = {
     "variants=Variants(), shifts={})",
     "is_no_text": "import dataclasses\nfrom astray import games\n"
     "GAME = dataclasses.replace(games.find('maze'), name='is_no_text', about=b'maze')",
+    "is_unsure": "import dataclasses\nfrom astray import games\n"
+    "GAME = dataclasses.replace(games.find('maze'), name='is_unsure', real_time='no')",
+    "is_compared": "import dataclasses\nfrom astray import games\n"
+    "GAME = dataclasses.replace(games.find('maze'), name='is_compared', benchmark='corner')",
     "is_hollow": "import dataclasses\nfrom astray import games\n"
     "GAME = dataclasses.replace(games.find('maze'), name='is_hollow', "
     "variants={'one': 3}, shifts={})",
@@ -56,6 +60,8 @@ REASONS = {
     "leaves_late": "SystemExit()",
     "misleads_late": "fails: Odd()",
     "is_no_text": "about must be a str; got b'maze'",
+    "is_unsure": "real_time must be a bool; got 'no'",
+    "is_compared": "benchmark must be a Benchmark or None; got 'corner'",
     "is_hollow": "no attribute 'about'",
     "lacks_rules": "rules of the game 'lacks_rules' must have ACTIONS,",
     "has_odd_goals": "each name of goals must be a str; got 3",

@@ -20,7 +20,7 @@ from astray.agents.importers.files import LARGEST
 from astray.analysis.trained import Network
 from astray.files import read
 from astray.game import Game
-from astray.validation import of_kind
+from astray.validation import brief, of_kind
 from astray.world import World
 
 STRIDES = (4, 2, 1)  # of the convolutions for Atari, Mnih et al. (2015)
@@ -87,7 +87,7 @@ def from_cleanrl(
         else:
             network = _filled(weights)
     except ValueError as error:
-        raise ValueError(f"{path} is refused: {error}") from error
+        raise ValueError(f"{path} is refused: {brief(error)}") from error
     return Network(network, space, game, name=name, mode=mode, seed=seed)
 
 
