@@ -123,7 +123,8 @@ def _parts(thing: Any) -> Iterable[Any] | None:
         return thing.values()
     if isinstance(thing, tuple | list | set | frozenset):
         return thing
-    return [type(thing), *own.values()]
+    kind, asked = type(thing), functools.cached_property  # whose value follows from the rest
+    return [kind, *(x for n, x in own.items() if not isinstance(getattr(kind, n, None), asked))]
 
 
 def _module(root: Root) -> tuple[str, ModuleSpec | None]:

@@ -14,7 +14,7 @@ from astray.mitigation.helped import AFTER, BEFORE
 
 
 def test_agents_of_a_method_differ_in_the_fraction_and_in_nothing_else():
-    plan = regret.experiment("t", "corner-small", "corner", {}).sizes["smoke"]
+    plan = regret.experiment("t", "corner-small", "corner", {}, steps=4_000_000).sizes["smoke"]
     assert len(regret.METHODS) * len(regret.FRACTIONS) == 16
     assert len(plan.agents) == 16 + len(regret.DOSES) + len((regret.LARGE, regret.ORACLE))
     for method in regret.METHODS:
@@ -25,7 +25,7 @@ def test_agents_of_a_method_differ_in_the_fraction_and_in_nothing_else():
 
 
 def test_a_ceiling_more_doses_and_a_larger_buffer_stand_beside_the_methods():
-    plan = regret.experiment("t", "corner-small", "corner", {}).sizes["smoke"]
+    plan = regret.experiment("t", "corner-small", "corner", {}, steps=4_000_000).sizes["smoke"]
     oracle, large, small = (
         plan.agents[name]
         for name in (regret.ORACLE, regret.LARGE, regret.name_of(regret.PLR, regret.SOME))

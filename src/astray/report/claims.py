@@ -58,6 +58,7 @@ def below(
     sentence: str, paper: str, measured: str, estimate: Estimate, bound: float = 0.0, **how: Any
 ) -> Claim:
     """Test the claim that a result is below `bound`; arguments as in `above`."""
+    how = {"told": Estimate.percent, **how}
     return within(sentence, paper, measured, estimate, (-math.inf, bound), **how)
 
 

@@ -186,13 +186,8 @@ def in_buffers(work: Work) -> pl.DataFrame:
             for seed, mean in means.sort("seed").rows():
                 amplified = mean / fraction if fraction else None
                 rows.append(
-                    {
-                        "method": method,
-                        "fraction": fraction,
-                        "seed": seed,
-                        "in_buffer": mean,
-                        "amplified": amplified,
-                    }
+                    {"method": method, "fraction": fraction, "seed": seed}
+                    | {"in_buffer": mean, "amplified": amplified}
                 )
     return pl.DataFrame(rows, schema_overrides={"amplified": pl.Float64})
 
@@ -295,19 +290,21 @@ def _over_fractions(table: pl.DataFrame, label: str, **how: Any) -> Figure:
 
 
 def experiment(
-    title: str, shift: str, proxy: str, knobs: dict[str, Any], seen: str = "", **training: Any
-) -> Experiment:
+    title: str, shift: str, proxy: str, knobs: dict[str, Any], seen: str = "", *, steps: int,
+    **training: Any,
+) -> Experiment:  # fmt: skip
     """Return the experiment on a shift of Maze, in small worlds.
 
     Args:
         knobs: Knobs of the variants.
         seen: Change of the observations from the paper's.
-        training: Settings of the trainings, other than the preset's; `steps` among them.
+        steps: Number of steps of each training.
+        training: Other settings of the trainings that are not the preset's.
     """
     differences = (
         "worlds of 7 cells instead of 13, seen as symbols by a network of two hidden layers; "
-        f"{training['steps'] // 10**6} million steps instead of 250 and more; rollouts of 64 steps "
-        "instead of 128; 4 of the 11 fractions; regret as the solver gives it, which the paper has "
+        f"{steps // 10**6} million steps instead of 250 and more; rollouts of 64 steps instead "
+        "of 128; 4 of the 11 fractions; regret as the solver gives it, which the paper has "
         "beside its estimate"
     )
     return Experiment(
@@ -315,6 +312,6 @@ def experiment(
         reproduces="Abdel Sadek et al. 2025, in small",
         question=f"Do curricula of regret keep mice from the {proxy}, where few training levels "
         "tell it from the cheese?",
-        sizes={"smoke": plan(shift, knobs, 3, 500, differences + seen, **training)},
+        sizes={"smoke": plan(shift, knobs, 3, 500, differences + seen, steps=steps, **training)},
         find=partial(find, proxy),
     )
