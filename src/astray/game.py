@@ -221,7 +221,7 @@ class Game:
 
     def __post_init__(self) -> None:
         check_words(self)
-        of_kind("benchmark", self.benchmark, Benchmark | None)
+        of_kind("benchmark", self.benchmark or None, Benchmark | None)
         for part, kind in PARTS.items():
             given = getattr(self, part)
             if part not in ABILITIES or not isinstance(given, Missing | None):
