@@ -258,7 +258,7 @@ def knob_rows(kind: type[Variant]) -> Iterator[tuple[str, ...]]:
 
 
 def comment(owner: type, field: str) -> str:
-    """What the source says behind the declaration of a field, or in the line above it."""
+    """Return what the source says behind the declaration of a field, or above it."""
     if owner is object:
         return ""
     line = rf"^(?:    # (.*)\n)?    {field}: [^#\n]*(?:# (.*))?$"
