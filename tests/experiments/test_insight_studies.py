@@ -42,7 +42,7 @@ def test_a_claim_is_supported_only_where_its_whole_interval_does():
     low = within("c", "p", "w", estimate(0.2, 0.3), (0.1, 0.25))
     high = within("c", "p", "w", estimate(0.2, 0.3), (0.1, 0.35))
     assert (low.supported, high.supported) == (False, True)
-    assert "between 0.1 and 0.35" in high.ours
+    assert "between 10\xa0% and 35\xa0%" in high.ours
     assert above("c", "p", "w", estimate(0.2, 0.3), 0.1).ours.endswith("above 10\u00a0%")
     assert below("c", "p", "w", estimate(0.2, 0.3), 0.1).supported is False
 

@@ -287,9 +287,8 @@ def test_bad_settings_are_explained(change, message):
 
 
 FORBIDDEN = {"pickle", "joblib", "dill", "marshal", "shelve", "cloudpickle"}  # modules
-READS = {  # what reads pickles all the same, and why nothing in them is run
-    "kernel/stored.py"  # numba's own compiled code, in a folder of the user's alone
-}
+# What reads pickles all the same: numba's own compiled code, in a folder of the user's alone.
+READS = {"kernel/stored.py"}
 
 
 def test_nothing_is_pickled():

@@ -50,15 +50,13 @@ def above(
         told: Method that formats the estimate; `Estimate.percent` formats bounds too.
         why: Further evidence about the reason, shown if the claim is not supported.
     """
-    bounds = bound, math.inf
-    return within(sentence, paper, measured, estimate, bounds, told=told, why=why)
+    return within(sentence, paper, measured, estimate, (bound, math.inf), told=told, why=why)
 
 
 def below(
     sentence: str, paper: str, measured: str, estimate: Estimate, bound: float = 0.0, **how: Any
 ) -> Claim:
     """Test the claim that a result is below `bound`; arguments as in `above`."""
-    how = {"told": Estimate.percent, **how}
     return within(sentence, paper, measured, estimate, (-math.inf, bound), **how)
 
 
@@ -69,7 +67,7 @@ def within(
     estimate: Estimate,
     bounds: tuple[float, float],
     *,
-    told: Callable[[Estimate], str] = Estimate.amount,
+    told: Callable[[Estimate], str] = Estimate.percent,
     why: str = "",
 ) -> Claim:
     """Test the claim that a result is between two bounds; arguments as in `above`."""
@@ -95,8 +93,7 @@ def near_zero(
     It is an equivalence test (two one-sided tests). An interval that contains 0 shows nothing,
     since fewer data make that more likely.
     """
-    bounds = -margin, margin
-    return within(sentence, paper, measured, estimate, bounds, told=told, why=why)
+    return within(sentence, paper, measured, estimate, (-margin, margin), told=told, why=why)
 
 
 def every(sentence: str, paper: str, parts: Sequence[Claim], why: str = "") -> Claim:

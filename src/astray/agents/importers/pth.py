@@ -129,7 +129,7 @@ def _checked(data: bytes) -> io.BytesIO:
     asked: dict[str, int] = {}
 
     def noted(kind: str, key: str, count: int) -> None:
-        asked[key] = max(asked.get(key, 0), count * SIZES[kind[6:-7]])
+        asked[key] = max(asked.get(key, 0), count * SIZES[kind[len("torch ") : -len("Storage")]])
 
     if not data.startswith(b"PK"):  # as torch wrote them before 1.6: pickles, then the weights
         file = io.BytesIO(data)

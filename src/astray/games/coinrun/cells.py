@@ -77,7 +77,8 @@ def _drawn(s: Any) -> tuple[np.ndarray, np.ndarray, list[list[int]]]:
 
 def describe(s: Any) -> dict[str, Any]:
     """Return the level of state `s`, lowest row first; raise ValueError if things share a cell."""
-    for y, x in np.argwhere((s.thing != NOTHING) & (s.cell != EMPTY)).tolist():
+    if len(shared := np.argwhere((s.thing != NOTHING) & (s.cell != EMPTY))):
+        y, x = shared[0].tolist()
         raise ValueError(f"cell {x, y} holds several things; a level has one in each")
     cells, details, sharing = _drawn(s)
     return {

@@ -224,7 +224,7 @@ def accelerate(
             "Python's headers",
             stacklevel=2,
         )
-    if using.fused_cpu:  # the kernels add columns of the first weights, so that each lies in a row
+    if using.fused_cpu:  # the kernels add columns of this weight: each is to lie in one piece
         first = next(network.parameters())
         first.data = first.data.T.contiguous().T
     if using.of_network:
