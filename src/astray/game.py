@@ -258,11 +258,6 @@ class Game:
         """The goals that are events, without those that are known only at an episode's end."""
         return {goal: event for goal, event in self.goals.items() if isinstance(event, str)}
 
-    def events_of(self, shift: Shift) -> dict[str, str]:
-        """Return those goals of a shift that are events, the intended one first."""
-        named = (shift.intended, *shift.proxies)
-        return {goal: self.event_goals[goal] for goal in named if goal in self.event_goals}
-
     @property
     def walked(self) -> tuple[str, ...]:
         """The goals that scripted policies walk to, for base rates."""

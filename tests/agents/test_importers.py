@@ -190,7 +190,7 @@ DEEP = b"\x91" * 900 + b"\xc0"  # more than Python prints
         (msgpack.packb(msgpack.ExtType(1, msgpack.packb(((1,), "object", b"")))), "'object'"),
         (msgpack.packb(msgpack.ExtType(1, msgpack.packb(((9,), "uint8", b"")))), "damaged"),
         (cleanba((2, 2, 2), actions=9)[0], "chooses from 9 actions"),
-        (other("1", "Dense_0", "bias", weights=np.float32(1)), "chooses from 0 actions"),
+        (other("1", "Dense_0", "bias", weights=np.float32(1)), r"policy.bias is \(\)"),
         (other("1", "Dense_0", "bias", weights=np.full(15, 1e300)), "not all finite"),
         *((other("0", "Dense_0", "kernel", weights=np.zeros(shape, "f4")), "not all fin|it would")
           for shape in ((0, 256), (64, 0), (0, 0))),
@@ -299,7 +299,7 @@ REFUSED_PTH = {
     "no number": (lambda: changed(fc_value__bias=torch.full((1,), torch.nan)), "not all finite"),
     "a whole number": (lambda: changed(fc_value__bias=torch.ones(1, dtype=int)), "not all finite"),
     "more than the file": (lambda: changed(embedder__fc__weight=HUGE), "more than the file holds"),
-    "no dimension": (lambda: changed(fc_policy__weight=torch.tensor(1.0)), "from 0 actions"),
+    "no dimension": (lambda: changed(fc_policy__weight=torch.tensor(1.0)), r"policy.weight is \(\)"),
     "no number in 32 bits": (
         lambda: changed(fc_value__bias=torch.full((1,), 1e300, dtype=torch.float64)),
         "not all finite"),
@@ -368,7 +368,7 @@ REFUSED_JD = {
         "'a', which is not an array",
     ),
     "no word": (lambda: joblib_bytes(clarity(cnn=np.zeros(3))[0]), "its network is array"),
-    "no dimension": (lambda: wrong("pi/b", ()), "chooses from 0 actions"),
+    "no dimension": (lambda: wrong("pi/b", ()), r"policy.bias is \(\)"),
     "no inputs": (lambda: wrong("pi/dense/kernel", (0, 256)), r"is \(256, 0\); it would be"),
     "no outputs": (lambda: wrong("pi/dense/kernel", (512, 0)), r"is \(0, 512\); it would be"),
     "nothing": (lambda: wrong("pi/dense/kernel", (0, 0)), r"is \(0, 0\); it would be"),

@@ -111,7 +111,7 @@ def changed(model, change):
         (lambda m: m.double(), "other than numbers of 32 bits"),
         (
             lambda m: setattr(m.encoder.trunk[0].main[0], "weight", nn.Parameter(torch.ones(()))),
-            "sizes must be integers from 1 on",
+            r"block1.conv.weight is \(\); it would have 4",
         ),
     ],
 )

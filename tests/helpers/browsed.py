@@ -18,8 +18,8 @@ LOADED, ARROWS = "globalThis.lab?.ready", "lab.fields.size > 0"
 ROOM = "#######\n#....G#\n#.###.#\n#.#...#\n#.#.#.#\n#@....#\n#######"
 TOKEN = "a-token-that-nobody-guesses"
 # Plays actions in a level by the rules of a page, and tells its states.
-PLAY = """async ([game, level, variant, actions]) => {
-  const { rules } = await import(new URL(`rules/${game}.js`, location.href));
+PLAY = """async ([path, level, variant, actions]) => {
+  const { rules } = await import(new URL(path, location.href));
   const { advance } = await import(new URL("rules/common.js", location.href));
   const { snapshot } = await import(new URL("engine/episodes.js", location.href));
   const played = [[rules.build(level, variant), 0]];

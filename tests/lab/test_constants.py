@@ -47,7 +47,9 @@ def test_planes_have_the_order_of_python(chrome, static, exported, monkeypatch, 
         monkeypatch.setattr(draw, f"{plane}_PLANE", place)
     with now(exported), modules_of(chrome, static) as page:
         (told,) = json.loads(
-            page.evaluate(PLAY, [name, level.to_json(), knobs(game.variant(kind)), []])
+            page.evaluate(
+                PLAY, [f"rules/{name}.js", level.to_json(), knobs(game.variant(kind)), []]
+            )
         )
     assert base64.b64decode(told[1]) == seen[0][places].tobytes()
 

@@ -59,8 +59,14 @@ def test_keys_open_doors_as_in_python(page):
 @pytest.mark.parametrize("name, kind", WORLDS)
 def test_rules_that_are_translated_are_those_of_python_state_by_state(page, exported, name, kind):
     game, random = games.find(name), np.random.default_rng(3)
-    (exported / "rules" / f"{name}.js").write_text(rules.module(game))
+    write_rules(exported, game)
     compare(page, name, kind, random.integers(len(game.actions), size=(2, STEPS)))
+
+
+def write_rules(exported, game):
+    path = exported / rules.path(game)
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(rules.module(game))
 
 
 def compare(page, name, kind, episodes):
@@ -70,7 +76,7 @@ def compare(page, name, kind, episodes):
     for number, actions in enumerate(episodes):
         env.reset(seed=0, options={"level": number})
         level = Level.of(game, variant, env.get_state()[0])
-        given = [name, level.to_json(), knobs(variant), actions.tolist()]
+        given = [rules.entry(game), level.to_json(), knobs(variant), actions.tolist()]
         told = json.loads(page.evaluate(PLAY, given))
         seen, _ = env.reset(options={"state": level.state(solvable=False)})
         reward = 0.0
@@ -85,8 +91,8 @@ def compare(page, name, kind, episodes):
         assert ended or len(told) == len(actions) + 1
 
 
-EFFECTS = """async ([game, level, variant, actions, count]) => {
-  const { rules } = await import(new URL(`rules/${game}.js`, location.href));
+EFFECTS = """async ([path, level, variant, actions, count]) => {
+  const { rules } = await import(new URL(path, location.href));
   const { effects, played } = await import(new URL("engine/episodes.js", location.href));
   const { states } = played({ s: rules.build(level, variant), rules }, actions);
   return states.filter((s) => !s.ended).map((s) => effects(rules, s, count));
@@ -97,7 +103,7 @@ EFFECTS = """async ([game, level, variant, actions, count]) => {
 def test_actions_that_do_the_same_are_those_of_python(page, exported, name, kind):
     game, random = games.find(name), np.random.default_rng(5)
     variant, count = game.variant(kind), len(game.actions)
-    (exported / rules.path(game)).write_text(rules.module(game))
+    write_rules(exported, game)
     env = GameVectorEnv(game, kind, 1, observation="symbolic", autoreset_mode="Disabled")
     env.reset(seed=0, options={"level": 3})
     level = Level.of(game, variant, env.get_state()[0])
@@ -111,7 +117,9 @@ def test_actions_that_do_the_same_are_those_of_python(page, exported, name, kind
             if env.states["ended"][0]:
                 del actions[len(states) - 1 :], states[-1]
                 break
-    told = page.evaluate(EFFECTS, [name, level.to_json(), knobs(variant), actions, count])
+    told = page.evaluate(
+        EFFECTS, [rules.entry(game), level.to_json(), knobs(variant), actions, count]
+    )
     assert told[: len(states)] == effects(game, variant, np.concatenate(states)).tolist()
 
 

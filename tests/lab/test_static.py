@@ -16,7 +16,7 @@ from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
 from astray.lab import goals
 from astray.lab.agents import Agents
-from astray.lab.export import check_exportable, export, file_names
+from astray.lab.export import export, file_names
 from astray.lab.link import link
 from astray.lab.messages import read
 from astray.lab.serving import make_lab
@@ -50,7 +50,9 @@ def test_a_dish_is_seen_in_as_many_planes_as_the_variant_says(page):
     variant = game.variant("dish-small").with_knobs({"dish_planes": 6})
     (s,) = initial_states(game, variant, [1])
     level = Level.of(game, variant, s)
-    (told,) = json.loads(page.evaluate(PLAY, ["maze", level.to_json(), knobs(variant), []]))
+    (told,) = json.loads(
+        page.evaluate(PLAY, ["rules/maze.js", level.to_json(), knobs(variant), []])
+    )
     env = GameVectorEnv(game, variant, 1, observation="symbolic")
     seen, _ = env.reset(options={"state": np.array([level.state()], game.state)})
     assert base64.b64decode(told[1]) == seen.tobytes() and seen.shape[1] == 10
@@ -326,13 +328,21 @@ def test_levels_of_an_agent_are_in_no_file_of_another_variants(untrained, tmp_pa
 
 
 @pytest.mark.parametrize("name", ["thief", "grid", "kernels", "maze-kernels"])
-def test_a_guest_with_the_name_of_a_file_is_drawn_as_a_guest_and_not_exported(name, monkeypatch):
+def test_a_guest_with_the_name_of_a_file_of_the_page_takes_its_place_nowhere(
+    chrome, name, monkeypatch, tmp_path
+):
     game = replace(games.find("pottery"), name=name)
     monkeypatch.setitem(games._registered, name, game)
     monkeypatch.setitem(grid._MADE, game, grid.world_of(games.find("pottery")))
     assert not is_drawn(game)
-    with pytest.raises(ValueError, match=f"{name} must be a world .* with a name that no file"):
-        check_exportable(make_lab("maze-corner", {}), [], {name: "corner"})
+    export(make_lab("maze-corner", {}), tmp_path / "site", 1, [], {name: "corner"})
+    asked = {"kind": "play", "variant": "corner", "level": 0, "agent": "", "actions": [3, 0, 1]}
+    with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
+        guest, own = (page.evaluate("(m) => lab.engine.ask(m)", asked | {"game": one})["states"]
+                      for one in (name, "maze"))  # fmt: skip
+    there = replay(game, game.variant("corner"), 0, asked["actions"])["steps"]
+    assert [s["agent"] for s in guest[1:]] == [[s["x"] + 0.5, s["y"] + 0.5] for s in there]
+    assert "goal_x" in own[0] and not told
 
 
 def test_nothing_is_written_over_and_nothing_outside(tmp_path):

@@ -84,9 +84,8 @@ def check_exportable(
         if not is_played(games.find(game)):
             drawn = ", ".join(name for name in games.OWN if is_played(games.find(name)))
             raise ValueError(
-                f"{game} must be a world of `astray.grid` to be exported, with a name that no file "
-                f"of the page's rules has, or one of {drawn}: without Python, a page plays no "
-                "other; astray lab without --export shows any"
+                f"{game} must be a world of `astray.grid`, or one of {drawn}: others need Python; "
+                "astray lab without --export shows any"
             )
     for game, variant in further.items():
         games.find(game).variant(variant)
@@ -111,9 +110,8 @@ def _chosen(lab: Lab) -> list[str]:
 
 def _write_page(folder: Path) -> None:
     for path, (data, _) in files().items():
-        if path == "widget.js":
-            continue
-        _write(folder / path, data.replace(b'data-engine="socket"', b'data-engine="static"'))
+        if path != "widget.js":
+            _write(folder / path, data.replace(b'data-engine="socket"', b'data-engine="static"'))
 
 
 def _write_data(
@@ -130,6 +128,7 @@ def _write_data(
         names = {"variants", "knobs"}
         _write(folder.parent / rules.path(game), rules.module(game).encode())
         found[game.name] = told | {n: {v: told[n][v] for v in variants} for n in names}
+        found[game.name]["rules"] = rules.entry(game)
         for name in variants:
             data = {"levels": _levels(game, game.variant(name), levels)}
             _write(folder / "levels" / game.name / f"{name}.json", data)

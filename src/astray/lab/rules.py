@@ -38,9 +38,14 @@ CALLED: Mapping[str, Sequence[Callable]] = {
 }
 
 
+def entry(game: Game) -> str:
+    """Return the path, from the page, of a game's rules: grid worlds have a folder of their own."""
+    return f"{'worlds' if grid.world_of(game) else 'rules'}/{game.name}.js"
+
+
 def path(game: Game) -> str:
     """Return the path of `module` from the page, which has all but the kernels of some games."""
-    return f"rules/{game.name}{'' if grid.world_of(game) else '-kernels'}.js"
+    return entry(game) if grid.world_of(game) else f"rules/{game.name}-kernels.js"
 
 
 def module(game: Game) -> str:
@@ -75,7 +80,9 @@ def module(game: Game) -> str:
             "looks": world.looks, "agents": list(world.agents),
         }  # fmt: skip
     kernels = ", ".join(f"{name}: {there}" for name, there in called.items())
-    of_world = 'import { gridRules } from "./grid.js";\nexport const rules = gridRules(game);'
+    of_world = (
+        'import { gridRules } from "../rules/grid.js";\nexport const rules = gridRules(game);'
+    )
     begin = f"const game = {{ ...{json.dumps(told)}, {kernels} }};"
     return made.module(
         f"The rules of {game.name}", begin, of_world if world else "export { game };"

@@ -70,7 +70,7 @@ class Translation:
 
     def module(self, about: str, *ends: str) -> str:
         """Return all that was translated as a module that ends with some lines."""
-        imported = f'import {{ {", ".join(NAMES)} }} from "./python.js";'
+        imported = f'import {{ {", ".join(NAMES)} }} from "../rules/python.js";'
         lines = [*self.constants.values(), *self.functions, *ends]
         return "\n".join([f"// {about}, translated from Python.", imported, *lines, ""])
 

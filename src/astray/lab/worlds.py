@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -123,13 +122,9 @@ def is_drawn(game: Game) -> bool:
 
 
 def is_played(game: Game) -> bool:
-    """Return whether the page can play the game without Python, under a name of its own."""
-    is_world, there = grid.world_of(game) is not None, PAGE / "rules" / f"{game.name}.js"
-    if game.name in games.OWN:
-        return is_world or there.is_file()
-    return (
-        is_world and not there.is_file() and not re.fullmatch(r"constants|(.*-)?kernels", game.name)
-    )
+    """Return whether the page can play the game without Python."""
+    is_ours = game.name in games.OWN and (PAGE / "rules" / f"{game.name}.js").is_file()
+    return is_ours or grid.world_of(game) is not None
 
 
 def snapshot(game: Game, s: Any) -> dict[str, Any]:

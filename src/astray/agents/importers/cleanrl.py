@@ -16,8 +16,7 @@ import torch
 from torch import Tensor
 
 from astray.agents.importers import pth
-from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, Plain, build, check_actions
-from astray.agents.policy import Architecture
+from astray.agents.importers.imported import Imported, Plain, impala
 from astray.validation import shown
 
 ZIP = b"PK"  # with which files of torch begin
@@ -50,15 +49,10 @@ def read(data: bytes) -> Imported:
     tensors = dict(_tensors(modules))
     if "policy.bias" not in tensors:
         raise ValueError("it has no policy, Dense_0 of its second module")
-    check_actions(tensors["policy.bias"])
-    convolutions = [tensors.get(f"block{k}.conv.weight") for k in (1, 2, 3)]
-    widths = tuple(len(c) for c in convolutions if c is not None)
-    architecture = Architecture("impala-same", SHAPE, (), ACTIONS, widths=widths)
     told = {str(name): value for name, value in told.items() if isinstance(value, Plain)}
     ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there) is not None}
-    about = f"CleanRL's cleanba: IMPALA, channels {'/'.join(map(str, widths))}"
-    network, world = build(architecture.build, tensors), _world(told.get("env_id"))
-    return Imported(network, architecture, about, world, ours, told)
+    more = _world(told.get("env_id")), ours, told
+    return impala("impala-same", tensors, "CleanRL's cleanba", *more)
 
 
 def unpacked(data: bytes) -> Any:

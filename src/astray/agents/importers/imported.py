@@ -1,6 +1,7 @@
 """An imported agent, and checks of its weights."""
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +14,8 @@ from astray.validation import brief
 Plain = int | float | str | bool | None
 SHAPE = (64, 64, 3)  # what Procgen shows
 ACTIONS = 15  # that Procgen has
+POLICY = re.compile(r"(body\.)?policy\.(weight|bias)")  # recurrent networks have a body
+FIRST = re.compile(r"(body\.)?block[123]\.conv\.weight")  # of a block of the IMPALA network
 
 
 @dataclass(frozen=True)
@@ -58,9 +61,38 @@ def build(make: Callable[[], nn.Module], tensors: Mapping[str, Tensor]) -> Any:
     return network
 
 
-def check_actions(policy: Tensor) -> None:
-    """Raise ValueError unless weights [actions, ...] are for Procgen's 15 actions."""
-    count = len(policy) if policy.ndim else 0
-    if count != ACTIONS:
+def of_procgen(
+    kind: str, tensors: Mapping[str, Tensor], about: str, *more: Any, **settings: Any
+) -> Imported:
+    """Return the agent with a network of this kind and settings, and weights by astray's names.
+
+    Raises:
+        ValueError: If they do not fit, or are for other actions than Procgen's 15.
+    """
+    policy = next(tensor for name, tensor in tensors.items() if POLICY.fullmatch(name))
+    if policy.ndim and (count := len(policy)) != ACTIONS:
         why = ", of CoinRun as it was before Procgen" if count in (7, 9) else ""
         raise ValueError(f"its policy chooses from {count} actions{why}; Procgen has {ACTIONS}")
+    architecture = Architecture(kind, SHAPE, (), ACTIONS, **settings)
+    return Imported(build(architecture.build, tensors), architecture, about, *more)
+
+
+def impala(
+    kind: str, tensors: Mapping[str, Tensor], program: str, *more: Any, note: str = ""
+) -> Imported:
+    """Return `of_procgen` for an IMPALA network of any channels."""
+    firsts = [name for name in sorted(tensors) if FIRST.fullmatch(name)]
+    for name in firsts:
+        if tensors[name].ndim != 4:
+            raise ValueError(f"{name} is {tuple(tensors[name].shape)}; it would have 4 dimensions")
+    widths = tuple(len(tensors[name]) for name in firsts)
+    called = "IMPALA+gru" if kind.endswith("+gru") else "IMPALA"
+    about = f"{program}: {called}, channels {'/'.join(map(str, widths))}{note}"
+    return of_procgen(kind, tensors, about, *more, widths=widths)
+
+
+def rename(name: str, names: Iterable[tuple[Any, Any]]) -> str:
+    """Return a name after each replacement of a pattern, (pattern, replacement) in `names`."""
+    for there, here in names:
+        name = re.sub(there, here, name)
+    return name

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from astray.agents.clear import BLOCKS
 from astray.agents.importers import plain
-from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, Plain, build, check_actions
-from astray.agents.policy import Architecture
+from astray.agents.importers.imported import Imported, Plain, of_procgen
 from astray.validation import shown
 
 SCOPE = "ppo2_model/"
@@ -50,8 +49,6 @@ def read(data: bytes) -> Imported:
     weights = _weights(found["params"])
     if "policy.bias" not in weights:
         raise ValueError(f"it has no policy, {SCOPE}pi/b")
-    check_actions(weights["policy.bias"])
-    architecture = Architecture("clear", SHAPE, (), ACTIONS)
     ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there) is not None}
     if not ours.get("levels"):  # Procgen's 0, and what is not set, mean: all levels there are
         ours.pop("levels", None)
@@ -59,8 +56,7 @@ def read(data: bytes) -> Imported:
         ours["normalise_reward"] = False
     mode = told.get("distribution_mode") or "hard"
     world = (str(told["env_name"]), str(mode)) if told.get("env_name") else None
-    network, about = build(architecture.build, weights), 'RL-Clarity: the "clear" network'
-    return Imported(network, architecture, about, world, ours, told)
+    return of_procgen("clear", weights, 'RL-Clarity: the "clear" network', world, ours, told)
 
 
 def _weights(params: dict[Any, Any]) -> dict[str, Tensor]:

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from astray.agents.importers import plain, rllte
-from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, build, check_actions
-from astray.agents.policy import Architecture
+from astray.agents.importers.archive import opened
+from astray.agents.importers.imported import Imported, impala, rename
 from astray.validation import shown
 
 # Kinds of numbers in weights, and their bytes.
@@ -86,18 +86,13 @@ def read(data: bytes) -> Imported:
         there = ", ".join(list(tensors)[:3])
         programs = " or ".join(one.program for one in PROGRAMS)
         raise ValueError(f"it is not an IMPALA network of {programs}: its weights are {there}, ...")
-    check_actions(tensors[names.heads[1]])
-    renamed = {rllte.rename(name, names.renamed): tensor for name, tensor in tensors.items()}
+    renamed = {rename(name, names.renamed): tensor for name, tensor in tensors.items()}
     if len(renamed) < len(tensors):
         raise ValueError("it has two weights of the same layer, under two names")
-    convolutions = [renamed.get(f"block{k}.conv.weight") for k in (1, 2, 3)]
-    widths = tuple(len(c) for c in convolutions if c is not None and c.ndim == 4)
-    cell = "+gru" if any(name.startswith("cell.") for name in renamed) else ""
-    if cell:
-        renamed = {n if n.startswith("cell.") else f"body.{n}": t for n, t in renamed.items()}
-    architecture = Architecture(f"impala{cell}", SHAPE, (), ACTIONS, widths=widths)
-    about = f"{names.program}: IMPALA{cell}, channels {'/'.join(map(str, widths))}"
-    return Imported(build(architecture.build, renamed), architecture, about)
+    if not any(name.startswith("cell.") for name in renamed):
+        return impala("impala", renamed, names.program)
+    renamed = {n if n.startswith("cell.") else f"body.{n}": t for n, t in renamed.items()}
+    return impala("impala+gru", renamed, names.program)
 
 
 def weights(data: bytes) -> dict[str, Tensor]:
@@ -138,21 +133,18 @@ def _checked(data: bytes) -> io.BytesIO:
         if sum(asked.values()) > len(data):
             raise ValueError("its weights are more than the file holds")
         return io.BytesIO(data)
-    try:
-        # Torch finds parts otherwise than Python: of any case, and in another table of contents.
-        with rllte.stored(data) as archive, zipfile.ZipFile(kept := io.BytesIO(), "w") as copy:
-            home, raw = rllte.pickle_of(archive)
-            plain.read(raw, noted, MADE_OF)
-            copy.writestr("archive/data.pkl", raw)
-            for part in OTHERS & {one.removeprefix(f"{home}/") for one in archive.namelist()}:
-                copy.writestr(f"archive/{part}", archive.read(f"{home}/{part}"))
-            for key, size in asked.items():
-                numbers = archive.read(f"{home}/data/{key}")
-                if len(numbers) < size:
-                    raise ValueError("its weights are more than the file holds")
-                copy.writestr(f"archive/data/{key}", numbers)
-    except (KeyError, *rllte.BROKEN) as error:
-        raise ValueError(f"it is damaged, or not a file of torch: {error}") from error
+    kept = io.BytesIO()
+    # Torch finds parts otherwise than Python: of any case, and in another table of contents.
+    with opened(data) as (archive, home, raw), zipfile.ZipFile(kept, "w") as copy:
+        plain.read(raw, noted, MADE_OF)
+        copy.writestr("archive/data.pkl", raw)
+        for part in OTHERS & {one.removeprefix(f"{home}/") for one in archive.namelist()}:
+            copy.writestr(f"archive/{part}", archive.read(f"{home}/{part}"))
+        for key, size in asked.items():
+            numbers = archive.read(f"{home}/data/{key}")
+            if len(numbers) < size:
+                raise ValueError("its weights are more than the file holds")
+            copy.writestr(f"archive/data/{key}", numbers)
     return io.BytesIO(kept.getvalue())
 
 

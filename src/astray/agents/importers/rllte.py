@@ -5,29 +5,19 @@ IMPALA with two differences: the ReLU at the beginning of a residual unit works 
 added at its end is the rectified input; and there is none before the dense layer.
 """
 
-import contextlib
 import functools
-import io
-import re
-import struct
-import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import torch
 
-from astray import files
 from astray.agents.importers import plain
-from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, build, check_actions
-from astray.agents.policy import Architecture
+from astray.agents.importers.archive import opened
+from astray.agents.importers.imported import Imported, impala, rename
 
 MARK = b"crllte.common.utils\nExportModel\n"  # with which its pickles begin, after two bytes
-PICKLE = "/data.pkl"
 FLOATS = "torch FloatStorage"
-# Errors of a damaged archive.
-BROKEN = (OSError, RuntimeError, EOFError, OverflowError, struct.error, zipfile.BadZipFile)
-LARGEST = 4_000_000  # bytes of a pickle; those of its agents have some 10,000
 DEEPEST, MOST = 8, 200  # modules in each other, and modules in all
 NAMES = (
     (r"^encoder\.trunk\.4\.", "features.linear."), (r"^actor\.actor\.", "policy."),
@@ -40,27 +30,10 @@ NAMES = (
 def is_module(data: bytes) -> bool:
     """Return whether the bytes of a file of torch are a module of RLLTE."""
     try:
-        with stored(data) as archive:
-            return MARK in pickle_of(archive)[1][: len(MARK) + 2]
-    except (ValueError, *BROKEN):
+        with opened(data) as (_, _, raw):
+            return MARK in raw[: len(MARK) + 2]
+    except ValueError:
         return False
-
-
-@contextlib.contextmanager
-def stored(data: bytes) -> Iterator[zipfile.ZipFile]:
-    """Open the archive in the bytes of a file of torch, whose parts together are no larger.
-
-    Raises:
-        ValueError: If parts are compressed, overlap or are too many, and could be of any size.
-    """
-    files.check_members(data)
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        parts = archive.infolist()
-        if any(one.compress_type != zipfile.ZIP_STORED for one in parts):
-            raise ValueError("it is compressed, which files of torch are not")
-        if sum(one.file_size for one in parts) > len(data):
-            raise ValueError("it is damaged, or not a file of torch: its parts overlap")
-        yield archive
 
 
 def read(data: bytes) -> Imported:
@@ -73,44 +46,21 @@ def read(data: bytes) -> Imported:
     tensors = {rename(name, NAMES): torch.from_numpy(t.copy()) for name, t in _parameters(root)}
     if "policy.bias" not in tensors:
         raise ValueError("it has no actor of one layer, as agents of images have")
-    check_actions(tensors["policy.bias"])
-    convolutions = [tensors.get(f"block{k}.conv.weight") for k in (1, 2, 3)]
-    widths = tuple(len(c) for c in convolutions if c is not None and c.ndim)
-    architecture = Architecture("impala-rectified", SHAPE, (), ACTIONS, widths=widths)
     tensors |= {"value.weight": torch.zeros(1, 256), "value.bias": torch.zeros(1)}
-    channels = "/".join(map(str, widths))
-    about = f"RLLTE: IMPALA, channels {channels}; without a critic: every value is 0"
-    return Imported(build(architecture.build, tensors), architecture, about)
-
-
-def pickle_of(archive: zipfile.ZipFile) -> tuple[str, bytes]:
-    """Return the folder of an archive's parts, and the pickle; raise ValueError if there is none.
-
-    Several, and one that is far larger than any agent's, are refused, too.
-    """
-    found = [one for one in archive.namelist() if one.endswith(PICKLE)]
-    if len(found) != 1:
-        raise ValueError(f"it is damaged, or not a file of torch: {len(found)} parts are a pickle")
-    if archive.getinfo(found[0]).file_size > LARGEST:
-        raise ValueError(f"its data.pkl has more than {LARGEST:,} bytes")
-    return found[0].removesuffix(PICKLE), archive.read(found[0])
+    return impala("impala-rectified", tensors, "RLLTE", note="; without a critic: every value is 0")
 
 
 def _root(data: bytes) -> Any:
-    try:
-        with stored(data) as archive:
-            home, raw = pickle_of(archive)
-            # Once each: a pickle may ask for the same bytes any number of times.
-            read = functools.cache(lambda key: archive.read(f"{home}/data/{key}"))
+    with opened(data) as (archive, home, raw):
+        # Once each: a pickle may ask for the same bytes any number of times.
+        read = functools.cache(lambda key: archive.read(f"{home}/data/{key}"))
 
-            def numbers(kind: str, key: str, count: int) -> np.ndarray:
-                if kind != FLOATS:
-                    raise ValueError("it keeps something other than numbers of 32 bits")
-                return np.frombuffer(read(key), "<f4")
+        def numbers(kind: str, key: str, count: int) -> np.ndarray:
+            if kind != FLOATS:
+                raise ValueError("it keeps something other than numbers of 32 bits")
+            return np.frombuffer(read(key), "<f4")
 
-            return plain.read(raw, numbers)
-    except BROKEN as error:
-        raise ValueError(f"it is damaged, or not a file of torch: {error}") from error
+        return plain.read(raw, numbers)
 
 
 def _parameters(root: Any) -> Iterator[tuple[str, np.ndarray]]:
@@ -135,10 +85,3 @@ def _dict(state: dict[Any, Any], name: str) -> dict[Any, Any]:
     if not isinstance(found, dict):
         raise ValueError(f"one of its modules has no {name}")
     return found
-
-
-def rename(name: str, names: Iterable[tuple[Any, Any]]) -> str:
-    """Return a name after each replacement of a pattern, (pattern, replacement) in `names`."""
-    for there, here in names:
-        name = re.sub(there, here, name)
-    return name

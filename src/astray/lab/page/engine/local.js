@@ -73,7 +73,7 @@ export class LocalEngine {
   async world({ game, variant, level, agent, knobs = {} }) {
     const about = this.about.games[game];
     if (!about) throw new Error(`the game '${game}' needs Python: astray lab`);
-    const { rules } = await import(`../rules/${game}.js`);
+    const { rules } = await import(`../${about.rules}`);
     if (!about.knobs[variant]) throw new Error(`unknown variant '${variant}' of ${game}`);
     let [given, number] = [level, null];
     if (typeof level === "number") {

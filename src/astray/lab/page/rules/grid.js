@@ -1,6 +1,6 @@
 // Shared by the rules of all grid worlds: `astray.grid`, for a page without Python.
 //
-// `astray.lab.rules` writes each world's own part, rules/NAME.js, from its Python.
+// `astray.lab.rules` writes each world's own part, worlds/NAME.js, from its Python.
 
 import { observed, rulesOf } from "./common.js";
 import { grid as counted } from "./constants.js";
