@@ -8,6 +8,7 @@ from astray.experiments import outcomes
 from astray.experiments.spec import Experiment, Plan, Work, plan_of
 from astray.experiments.studies.keys import _hoarding as hoarding
 from astray.experiments.studies.keys._hoarding import ALL_FIRST, BEYOND, LEFT, LOST, NEED, PER_CHEST
+from astray.experiments.studies.maze import maze_corner
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings
 from astray.training.config import PRESETS, Config
@@ -132,12 +133,12 @@ EXPERIMENT = Experiment(
             "million",
         ),
         "night": plan(
-            PRESETS["night"],
+            maze_corner.NIGHT.changed(network="strided-impala"),
             "many-keys",
             seeds=5,
-            differences="a network of patches before the paper's later blocks, an entropy bonus of "
-            "0.003 instead of 0.01, and 40 million steps instead of 200 million",
-            speed=1500,
+            differences="a network of two strided convolutions before one of the paper's blocks, "
+            + maze_corner.LESSONS,
+            speed=2500,
         ),
         "hour": plan(
             replace(PAPER, steps=25_000_000),
