@@ -337,11 +337,14 @@ def test_a_guest_with_the_name_of_a_file_of_the_page_takes_its_place_nowhere(
     assert not is_drawn(game)
     export(make_lab("maze-corner", {}), tmp_path / "site", 1, [], {name: "corner"})
     asked = {"kind": "play", "variant": "corner", "level": 0, "agent": "", "actions": [3, 0, 1]}
-    with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
+    with (
+        folder_served(tmp_path / "site") as address,
+        opened(chrome, address, "true") as (page, told),
+    ):
         guest, own = (page.evaluate("(m) => lab.engine.ask(m)", asked | {"game": one})["states"]
                       for one in (name, "maze"))  # fmt: skip
     there = replay(game, game.variant("corner"), 0, asked["actions"])["steps"]
-    assert [s["agent"] for s in guest[1:]] == [[s["x"] + 0.5, s["y"] + 0.5] for s in there]
+    assert [s["agent"] for s in guest[1:]] == [[s["x"], s["y"]] for s in there]
     assert "goal_x" in own[0] and not told
 
 
