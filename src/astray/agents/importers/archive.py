@@ -22,8 +22,8 @@ def opened(data: bytes) -> Iterator[tuple[zipfile.ZipFile, str, bytes]]:
         ValueError: If it is damaged, also where it is read later, or if its parts could be of any
             size: they are compressed, overlap, or are too many.
     """
-    files.check_members(data)
     try:
+        files.check_members(data)
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             parts = archive.infolist()
             if any(one.compress_type != zipfile.ZIP_STORED for one in parts):
