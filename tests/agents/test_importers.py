@@ -299,7 +299,7 @@ REFUSED_PTH = {
     "no number": (lambda: changed(fc_value__bias=torch.full((1,), torch.nan)), "not all finite"),
     "a whole number": (lambda: changed(fc_value__bias=torch.ones(1, dtype=int)), "not all finite"),
     "more than the file": (lambda: changed(embedder__fc__weight=HUGE), "more than the file holds"),
-    "no dimension": (lambda: changed(fc_policy__weight=torch.tensor(1.0)), r"policy.weight is \(\)"),
+    "no dimension": (lambda: changed(fc_policy__weight=torch.tensor(1.0)), r"y.weight is \(\)"),
     "no number in 32 bits": (
         lambda: changed(fc_value__bias=torch.full((1,), 1e300, dtype=torch.float64)),
         "not all finite"),
