@@ -80,7 +80,7 @@ def of_procgen(
 def impala(
     kind: str, tensors: Mapping[str, Tensor], program: str, *more: Any, note: str = ""
 ) -> Imported:
-    """Return `of_procgen` for an IMPALA network of any channels."""
+    """Return `of_procgen`, or raise its ValueError, for an IMPALA network of any channels."""
     firsts = [name for name in sorted(tensors) if FIRST.fullmatch(name)]
     for name in firsts:
         if tensors[name].ndim != 4:
