@@ -104,9 +104,9 @@ for game in games.OWN:
 """
 
 
-def without_extras(program):
-    """Run a program where no library of an extra can be imported."""
-    names = {package(one) for each in EXTRAS.values() for one in each} - {"astray"}
+def without_extras(program, *names):
+    """Run a program where no library of an extra can be imported, or none of these names."""
+    names = {*names} or {package(one) for each in EXTRAS.values() for one in each} - {"astray"}
     program = BARE.format(names=names) + program
     return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
 
@@ -139,6 +139,25 @@ def test_the_command_says_which_extra_it_needs():
     assert done.stderr.splitlines() == [
         'astray: the command astray needs tyro: pip install ".[train]" in a clone of astray'
     ]
+
+
+@pytest.mark.parametrize(
+    "library, words",
+    [
+        ("polars", "evaluate maze-corner"),
+        ("torch", "evaluate maze-corner"),
+        ("torch", "train maze corner-small"),
+        ("av", "record maze-corner"),
+        ("matplotlib", "compare maze-corner random"),
+    ],
+)
+def test_a_verb_says_which_extra_a_single_missing_library_is_of(library, words, tmp_path):
+    program = f"import os, sys; os.chdir({str(tmp_path)!r}); sys.argv[1:] = {words.split()}"
+    done = without_extras(f"{program}\nfrom astray import cli; cli.main()", library)
+    assert done.stderr.splitlines() == [
+        f'astray: the command astray needs {library}: pip install ".[train]" in a clone of astray'
+    ]
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_version_is_told(astray):

@@ -164,6 +164,17 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
             "fraction is for the sampler mixed or growing; got 'uniform'",
         ),
         ("train maze corner --replay 0.5", "replay is for the sampler plr or accel; got 'uniform'"),
+        ("train maze corner --schedule late", "schedule is for the sampler mixed; got 'uniform'"),
+        ("train maze corner --sampler plr --edits 3", "edits is for the sampler accel; got 'plr'"),
+        ("train maze corner --score regret", "score is for the sampler plr or accel; got 'unif"),
+        (
+            "evaluate maze-corner --world helpers.rooms:WORLD",
+            "maze-corner plays maze, and --world helpers.rooms:WORLD is another",
+        ),
+        (
+            "compare maze-corner random --world helpers.rooms:WORLD",
+            "agents must play one game; got maze, room",
+        ),
         ("lab --num-levels 5", "--num-levels says how many are exported: it needs --export FOLDER"),
         (
             "evaluate --policy builtins:len --game maze --shift corner --mode greedy",

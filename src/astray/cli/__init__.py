@@ -32,9 +32,10 @@ def main() -> None:
         # Imported here: libraries read the environment, and may not like what they find.
         try:
             from astray.cli.verbs import run
+
+            run()
         except ModuleNotFoundError as error:
             raise imports.needed_by("the command astray", error) from None
-        run()
         if sys.stdout:
             sys.stdout.flush()
     except BrokenPipeError:

@@ -108,18 +108,6 @@ class OwnPolicy:
         Literal["image", "symbolic"] | None, otherwise("those of the agent; image for a policy")
     ] = None
 
-    def without_policy(self) -> None:
-        """Register the world that the agent was trained on, so that its run can be opened.
-
-        Raises:
-            ValueError: If another option of custom policies is given without a policy.
-        """
-        for name in ("game", "observation"):
-            if (given := getattr(self, name)) is not None:
-                raise ValueError(f"--{name} {given} needs --policy; a run says which it has")
-        if self.world is not None:
-            world.register(self.named())
-
     def named(self) -> World:
         """Return the world that --world names; raise ValueError if it is not a world."""
         found = imports.find(self.world or "")
@@ -157,18 +145,29 @@ class OwnPolicy:
     def replaces(self, agents: Any, needs: Mapping[str, Any]) -> bool:
         """Return whether there is a policy, which plays in the place of `agents`.
 
+        The world that agents were trained on is registered, so that their runs can be opened.
+
         Raises:
-            ValueError: If neither or both are given, or a policy without one of the options that it
-                `needs`.
+            ValueError: If neither or both are given, a policy without one of the options that it
+                `needs`, or agents with other options of a policy or a world that is not theirs.
         """
         if self.policy is not None:
             if agents or not all(needs.values()):
                 options = ", and ".join((*needs, "--game or --world", "no agent"))
                 raise ValueError(f"--policy needs {options}")
             return True
-        self.without_policy()
+        for name in ("game", "observation"):
+            if (given := getattr(self, name)) is not None:
+                raise ValueError(f"--{name} {given} needs --policy; a run says which it has")
         if not agents:
             raise ValueError("name an agent or a run folder, or give a --policy")
+        if self.world is not None:
+            from astray.training.folders import AgentFolder
+
+            world.register(named := self.named())
+            for agent in [agents] if isinstance(agents, Path) else agents:
+                if (its := AgentFolder.open(agent).config().game) != named.name:
+                    raise ValueError(f"{agent} plays {its}, and --world {self.world} is another")
         return False
 
     def make(self, acting: Acting) -> Policy:

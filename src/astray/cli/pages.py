@@ -185,7 +185,7 @@ def compare(
             one_of("agent or policy", name, [*names(), "random", "walk:GOAL", "module:name"])
     opened = {name: tested.acting.open(Path(name)) for name in agents if not _is_policy(name)}
     configs = [config for _, config in opened.values()]
-    found = {config.find_game().name for config in configs} | (set() if game is None else {game})
+    found = {c.find_game().name for c in configs} | ({own.rules().name} if game or world else set())
     if len(found) > 1:
         raise ValueError(f"agents must play one game; got {', '.join(sorted(found))}")
     if any(config.knobs != configs[0].knobs for config in configs):

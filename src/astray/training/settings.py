@@ -35,10 +35,10 @@ RANGES = (
 
 SAMPLERS = ("uniform", "mixed", "growing", "plr", "accel")  # astray's own samplers
 SCORING = ("plr", "accel")  # samplers that score levels
-SAMPLED = {  # settings -> their samplers
-    "fraction": ("mixed", "growing"), "replay": SCORING,
-    "shifted_levels": ("mixed",), "shifted_steps": ("mixed",),
-}  # fmt: skip
+SAMPLED = {"fraction": ("mixed", "growing")}  # settings -> their samplers
+SAMPLED |= dict.fromkeys(("schedule", "shifted_levels", "shifted_steps"), ("mixed",))
+SAMPLED |= dict.fromkeys(("buffer", "replay", "temperature", "staleness", "score"), SCORING)
+SAMPLED |= dict.fromkeys(("mutation", "edits"), ("accel",))
 Schedule = Literal["throughout", "early", "late", "annealed"]
 Score = Literal["regret", "max-monte-carlo", "positive-value-loss"]
 
@@ -90,11 +90,9 @@ class Sampling:
 
     def check_kind(self) -> None:
         """Raise ValueError if a setting belongs to another sampler."""
-        for name, kinds in SAMPLED.items():
-            if getattr(self, name) is not None and self.kind in set(SAMPLERS) - set(kinds):
-                raise ValueError(
-                    f"{name} is for the sampler {' or '.join(kinds)}; got {self.kind!r}"
-                )
+        for name, its in SAMPLED.items():
+            if getattr(self, name) != getattr(Sampling, name) and self.kind in {*SAMPLERS} - {*its}:
+                raise ValueError(f"{name} is for the sampler {' or '.join(its)}; got {self.kind!r}")
 
 
 SUITS = otherwise("depends on the device")
