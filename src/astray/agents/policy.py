@@ -149,8 +149,8 @@ def _check_weights(tensors: dict[str, Tensor], network: nn.Module) -> None:
     promised = network.state_dict()
     if {n: t.shape for n, t in promised.items()} != {n: t.shape for n, t in tensors.items()}:
         raise ValueError("its weights are not those of its architecture")
-    for name, tensor in tensors.items():  # torch would take integers and booleans for them
-        if tensor.is_floating_point() != promised[name].is_floating_point():
+    for name, tensor in tensors.items():  # torch would convert them, also to infinity
+        if tensor.dtype != promised[name].dtype:
             kinds = f"{promised[name].dtype}; they are {tensor.dtype}"
             raise ValueError(f"its weights {name!r} must be {kinds}")
 
