@@ -1,12 +1,23 @@
 """The lab as it opens: links, loading, widths and access."""
 
+import base64
+import zlib
+
 import pytest
 
 pytest.importorskip("starlette", reason="starlette is not installed")
 
-from helpers.browsed import load_anew, opened, violations, wait
+from helpers.browsed import LOADED, load_anew, opened, violations, wait
 
+LONG = '{"grid": [[0]], "agent": [0, 0], "looks": "%s"}' % (400_000 * "x")
 WIDTHS = {"laptop": (1280, 800), "tablet": (820, 1100), "phone": (390, 780)}
+
+
+def packed(level):
+    """A drawn level as links have it."""
+    deflate = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    data = deflate.compress(level.encode()) + deflate.flush()
+    return base64.urlsafe_b64encode(data).decode().rstrip("=")
 
 
 @pytest.mark.parametrize(
@@ -20,6 +31,14 @@ WIDTHS = {"laptop": (1280, 800), "tablet": (820, 1100), "phone": (390, 780)}
         (("level=17", "level="), "maze-corner", "from 0 to 2147483646; the link has ''"),
         (("variant=anywhere-small", "variant=nope"), "maze-corner", "no variant 'nope' of maze"),
         (("level=17", "level=abc"), "maze-corner", "from 0 to 2147483646; the link has 'abc'"),
+        (("level=17", "level=" + 200 * "9"), "maze-corner", f"the link has '{80 * '9'}…'."),
+        (
+            ("anywhere-small", "anywhere"),
+            "",
+            "'maze-corner' cannot play in anywhere here; no agent",
+        ),
+        (("level=17", f"drawn={packed('[1, 2]')}"), "maze-corner", "drawn cannot be read from the"),
+        (("level=17", f"drawn={packed(LONG)}"), "maze-corner", "be at most 262144 characters; got"),
         (("agent=maze-corner", "agent="), "", ""),
     ],
 )
@@ -31,6 +50,66 @@ def test_a_link_that_cannot_be_opened_says_so_and_shows_no_other_agent(
     assert page.evaluate("lab.agent") == agent and not window[1]
     problem = page.locator("[data-lab=problem]")
     assert problem.is_visible() == bool(said) and said in problem.text_content()
+
+
+MAZE, POTTERY = ("game=maze&variant=anywhere-small&agent=maze-corner&level=17",
+                 "game=pottery&variant=anywhere&agent=&level=3")  # fmt: skip
+FOLLOWED = "(hash) => { location.hash = hash; }"
+SHOWN = "[lab.game, lab.variant, lab.number, lab.level.grid.length, location.hash.slice(1)]"
+
+
+@pytest.mark.parametrize("way", ["served", "static"])
+def test_a_link_whose_level_cannot_be_opened_shows_another_of_its_game(chrome, request, way):
+    with opened(chrome, request.getfixturevalue(way)) as (page, told):
+        grid = packed('{"grid": [[0, 0], [0, 99]], "agent": [0.5, 0.5], "looks": {}}')
+        page.evaluate(FOLLOWED, f"game=pottery&variant=corner&agent=&drawn={grid}")
+        wait(
+            page, "lab.game === 'pottery' && lab.number === 0 && location.hash.endsWith('level=0')"
+        )
+        assert "pottery" in page.evaluate("lab.level.game") and not told
+        assert "at cell (1, 1); there are" in page.locator("[data-lab=problem]").text_content()
+        assert page.evaluate("lab.level.grid.length") > 2
+
+
+def test_a_code_of_no_kind_is_refused_without_python(chrome, static):
+    room = "[[1, 1, 1, 1, 1], [1, 0, 0, 0, 1], [1, 0, 99, 2, 1], [1, 0, 0, 0, 1], [1, 1, 1, 1, 1]]"
+    link = f"{static}#game=maze&variant=anywhere-small&agent=maze-corner&drawn="
+    level = packed(f'{{"grid": {room}, "agent": [1.5, 1.5], "looks": {{}}}}')
+    with opened(chrome, link + level) as (page, told):
+        assert page.evaluate("lab.number") == 0 and not told
+        assert "at cell (2, 2); there are" in page.locator("[data-lab=problem]").text_content()
+
+
+def test_links_that_come_before_others_are_answered_do_not_mix(chrome, served):
+    slow = """void (lab.engine.ask = ((ask) => async (question, heard) => {
+      const told = await ask(question, heard);
+      if (question.kind === "art") await new Promise((on) => { setTimeout(on, 700); });
+      return told;
+    })(lab.engine.ask.bind(lab.engine)))"""
+    with opened(chrome, f"{served}#{MAZE}") as (page, told):
+        page.evaluate(slow)
+        page.evaluate(FOLLOWED, POTTERY)
+        wait(page, "lab.game === 'pottery'")
+        page.go_back()
+        wait(page, "lab.game === 'maze'")
+        page.wait_for_timeout(1500)  # until the pottery's pictures are there
+        assert page.evaluate(SHOWN) == ["maze", "anywhere-small", 17, 7, MAZE] and not told
+        assert page.evaluate("lab.pictures.maze.images.has('cheese')")
+
+
+def test_a_link_that_comes_while_the_first_is_opened_is_followed(chrome, served):
+    context = chrome.new_context()
+    page = context.new_page()
+    page.add_init_script(f"""const soon = setInterval(() => {{
+      if (!globalThis.lab?.about) return;
+      clearInterval(soon);
+      location.hash = "{POTTERY}";
+    }}, 0);""")
+    page.goto(f"{served}#{MAZE}")
+    wait(page, f"{LOADED} && lab.game === 'pottery' && lab.level?.game === 'pottery'")
+    page.wait_for_timeout(500)
+    assert page.evaluate("location.hash") == f"#{POTTERY}"
+    context.close()
 
 
 def test_a_level_that_was_not_exported_is_told_and_another_one_shown(chrome, static):

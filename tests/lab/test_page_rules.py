@@ -159,6 +159,7 @@ REFUSED = {
     "return NAMES[0]": r"the constant NAMES of a page must be numbers, .*; got \['a'\]",
     "return np.empty((2, 3))[1, 1]": "knows no 'empty'",
     "return unheard": "knows no 'unheard'",
+    "return (s.a, 1) < (0, 2)": r"knows no '\(s.a, 1\) < \(0, 2\)'",
     "return np.uint64(1) + s.a": r"knows no 'np.uint64\(1\) \+ s.a'",
     "x = np.float32(s.a)\n x = s.a\n return x": "knows no 'x = s.a'",  # of 32 bits and of 64
 }
@@ -230,6 +231,10 @@ def translated(folder, body):
         "for k in (4, 5):\n  s.a = 10 * s.a + k\n return s.a",
         "x, y = np.empty(2), np.empty(2)\n x[:], y[:] = 1, 2\n return x[0] + 10 * y[1]",
         "s.a = 7 / 2\n s.a += 0.75\n return s.a",  # a field of integers
+        "return ((s.a, 1) == (0, 1)) + 2 * ((s.a, 1) != (0, 1))",
+        "return 3 if [] and [1] else 4",  # to JavaScript an empty array is true
+        "return len([] or [] or [1, 2]) + 10 * len([] and [1])",
+        "return 3 if [1] and s.a == 0 and [] and 1 else 4",
         "return min(TABLE) + 10 * max(TABLE) + 100 * max(s.a, 2, 1)",
         "return third(np.float64(s.a + 1)) + np.float64(third(np.float32(1)))",
     ],

@@ -19,7 +19,7 @@ from astray.games.maze import rules as maze_rules
 from astray.games.maze import variants as maze_variants
 from astray.grid import abilities
 from astray.kernel import maze, thief
-from astray.lab import goals
+from astray.lab import goals, messages
 from astray.training import ppo
 
 EXACT = 2**53  # up to which JavaScript keeps every integer
@@ -28,6 +28,7 @@ PATH = "rules/constants.js"  # from the page
 TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
     "common": ((maze, "WALL"), (record, "NEVER"), (own, "COLOURS")),
     "levels": ((record, "MOST"),),
+    "messages": ((messages, "LARGEST"),),
     "noises": ((ppo, "BELOW_ONE"),),
     "grid": ((abilities, "OVER"),),
     "rewards": ((ppo, "CLIP"),),

@@ -141,14 +141,9 @@ def _write_data(
     if isinstance(start["level"], int) and start["level"] >= levels:
         start |= {"level": 0, "why": ""}  # which is always exported
     index = {
-        "format": FORMAT,
-        "engine": "static",
-        "note": NOTE,
-        "games": found,
-        "agents": about,
-        "broken": {},
-        "start": start,
-    }
+        "format": FORMAT, "engine": "static", "note": NOTE, "games": found, "agents": about,
+        "broken": {}, "start": start,
+    }  # fmt: skip
     _write(folder / "index.json", index)
 
 

@@ -96,13 +96,9 @@ def hello(session: Session, message: Message) -> Iterator[Reply]:
         except (*MISTAKES, OSError) as error:
             broken[name] = brief(error)
     yield {
-        "format": FORMAT,
-        "engine": "python",
-        "games": found,
-        "agents": agents,
-        "broken": broken,
+        "format": FORMAT, "engine": "python", "games": found, "agents": agents, "broken": broken,
         "start": dict(lab.start),
-    }
+    }  # fmt: skip
 
 
 @functools.cache
@@ -112,9 +108,7 @@ def about_game(game: Game) -> Reply:
     sprites = game.sprites
     return {
         "about": brief(game.about),
-        "actions": list(game.actions),
-        "events": list(game.events),
-        "goals": game.event_goals,
+        "actions": list(game.actions), "events": list(game.events), "goals": game.event_goals,
         "shifts": {name: vars(shift) for name, shift in game.shifts.items()},
         "variants": {name: brief(v.about) for name, v in game.variants.items()},
         "knobs": {
@@ -124,14 +118,10 @@ def about_game(game: Game) -> Reply:
         "legend": legend,
         "objects": dict(game.editing.OBJECTS) if game.editing else {},
         "real_time": game.real_time,
-        "labels": bool(game.labels),
-        "solver": bool(game.solver),
-        "editing": bool(game.editing),
+        "labels": bool(game.labels), "solver": bool(game.solver), "editing": bool(game.editing),
         "floors": list(sprites.FLOORS) if sprites else [],
-        "pictures": {char: list(names) for char, names in sprites.PICTURES.items()}
-        if sprites
-        else {},
-    }
+        "pictures": {c: list(names) for c, names in sprites.PICTURES.items()} if sprites else {},
+    }  # fmt: skip
 
 
 def art(session: Session, message: Message) -> Iterator[Reply]:

@@ -33,7 +33,7 @@ CASTS = {
 SIGNS: dict[type, str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=",
     ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.USub: "-", ast.UAdd: "+",
-    ast.Not: "!", ast.And: "&&", ast.Or: "||",
+    ast.Not: "!",
 }  # fmt: skip
 CALLS: dict[type, str] = {  # by the page's functions; JavaScript's own bits are 32
     ast.FloorDiv: "floorDiv", ast.Mod: "mod", ast.BitOr: "bitOr", ast.BitAnd: "bitAnd",
@@ -46,7 +46,7 @@ WHOLE: dict[type, str] = SIGNS | {  # between integers of 64 bits
 NUMPY = np.ndarray | np.generic
 Kind = str | tuple[str, ...]  # of a value, or of each part of one: SINGLE, WIDE, or "" for others
 # Of `page/rules/python.js`:
-NAMES = ["copyFlat", "exact", "fill", "from", "or", "where", "wide", "yes"]
+NAMES = ["and", "copyFlat", "exact", "fill", "from", "or", "where", "wide", "yes"]
 NAMES.extend(CALLS.values())
 LONG = re.compile(r"(?<![\d.])\d{16,}(?![\d.e])")  # integers of a page are exact up to 2 ** 53
 WORDS = frozenset(  # that mean something else in a module of JavaScript, and those of ours
@@ -295,10 +295,11 @@ class _Function:
                 return f"!yes({self.of(value)})"
             case ast.UnaryOp(op=op, operand=value) if type(op) in SIGNS:
                 return f"({SIGNS[type(op)]}{self.of(value)})"
-            case ast.BoolOp(op=ast.Or(), values=[value, other]):
-                return f"or({self.of(value)}, () => {self.of(other)})"
-            case ast.BoolOp(op=op, values=values):
-                return f"({f' {SIGNS[type(op)]} '.join(map(self.of, values))})"
+            case ast.BoolOp(ast.And(), [*tests, last]) if {*map(type, tests)} == {ast.Compare}:
+                return f"({' && '.join(map(self.of, [*tests, last]))})"
+            case ast.BoolOp(op=op, values=[value, *others]):  # to JavaScript any array is true
+                rest = self.of(others[0] if others[1:] == [] else ast.BoolOp(op, others))
+                return f"{'or' if type(op) is ast.Or else 'and'}({self.of(value)}, () => {rest})"
             case ast.BinOp(left=left, op=op, right=right) if self._kind(node) == WIDE:
                 return f"wide({self.of(left)} {WHOLE[type(op)]} {self.of(right)})"
             case ast.BinOp(left=left, right=right) if WIDE in self._parts([left, right]):
@@ -320,8 +321,10 @@ class _Function:
     def _compared(self, one: str, op: type, two: str, node: ast.Compare) -> str:
         if op is ast.In:
             return f"{two}.map(String).includes(String({one}))"
-        if op not in SIGNS:
+        is_tuple = "[" in (one[0], two[0])  # which JavaScript compares by where it is kept
+        if op not in SIGNS or (is_tuple and op not in (ast.Eq, ast.NotEq)):
             raise self._unknown(node)
+        one, two = (f"String({side})" if is_tuple else side for side in (one, two))
         return f"{one} {SIGNS[op]} {two}"
 
     def _call(self, function: Any, args: list[Any]) -> str:

@@ -47,12 +47,10 @@ class World:
         """Return the level as plain data."""
         described = self.game.editing.describe(self.begin)
         return {
-            "level": {"game": self.game.name} | described,
-            "number": self.number,
-            "text": str(self.level),
-            "problem": self.problem,
+            "level": {"game": self.game.name} | described, "number": self.number,
+            "text": str(self.level), "problem": self.problem,
             "state": snapshot(self.game, self.begin),
-        }
+        }  # fmt: skip
 
 
 def read_world(message: Message) -> World:

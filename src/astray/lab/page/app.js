@@ -34,13 +34,15 @@ export class Lab {
     const about = await this.tried(() => this.engine.ask({ kind: "hello" }));
     if (!about) return;
     this.about = about;
-    const start = { ...about.start, ...(this.links ? await fromLink(location.hash, about) : {}) };
+    this.address = location.hash;
+    const start = { ...about.start, ...(this.links ? await fromLink(this.address, about) : {}) };
     this.agent = start.agent ?? "";
     this.game = start.game;
     this.variant = start.variant;
     this.panels.begin();
-    await this.open(start.level ?? 0, start.wrong);
+    await this.open(start.level ?? 0, start.wrong ?? "");
     globalThis.addEventListener("hashchange", () => this.follow());
+    await this.follow(); // a link that came meanwhile
     this.part("main").inert = false; // before, nothing was shown that could be used
     this.panels.tour();
     this.ready = true;
@@ -48,19 +50,20 @@ export class Lab {
 
   async follow() {
     if (!this.links || location.hash === this.address) return;
-    const { wrong, level, ...shown } = await fromLink(location.hash, this.about);
+    this.address = location.hash;
+    const { wrong = "", level = 0, ...shown } = await fromLink(this.address, this.about);
     Object.assign(this, shown);
     this.panels.choices();
-    await this.open(level ?? 0, wrong);
+    await this.open(level, wrong);
   }
 
-  // Return the result of `work`, or null if it fails; then the page says why.
+  // Return the result of `work`, or undefined if it fails; then the page says why.
   async tried(work) {
     try {
       return await work();
     } catch (error) {
       this.panels.problem(error.message);
-      return null;
+      return undefined;
     }
   }
 
@@ -115,22 +118,25 @@ export class Lab {
     return Math.min(Math.max(seed || 0, 0), 999);
   }
 
-  // Show a level: a number, a drawing, or an object as `Level.to_json` has it. `wrong`: what else
-  // was asked for and cannot be shown.
-  async open(level, wrong = "") {
+  // Show a level: a number, a drawing, or an object as `Level.to_json` has it. `wrong`, of a link:
+  // what else was asked for and cannot be shown.
+  async open(level, wrong = null) {
     const loading = "Loading. Code that is used for the first time is compiled: some 10 to 20 seconds.";
     const late = setTimeout(() => this.panels.status(loading), SOON);
-    const done = () => { clearTimeout(late); this.panels.status("connected"); };
-    return this.#opened(level, wrong).finally(done);
+    return this.#opened(level, wrong).finally(() => { clearTimeout(late); this.panels.status("connected"); });
   }
 
   async #opened(level, wrong) {
-    await this.#art();
-    const question = { ...this.question("level"), level };
-    const told = await this.tried(() => this.engine.ask(question));
-    if (!told) { // with nothing shown yet, another level of the same, and what is wrong
+    const mine = (this.opening = Symbol("level"));
+    if (this.level?.game !== this.game) this.#clear();
+    const told = await this.tried(async () => {
+      await this.#art(this.game);
+      return this.opening === mine && this.engine.ask({ ...this.question("level"), level });
+    });
+    if (this.opening !== mine || told === null) return false; // a newer one was asked for
+    if (!told) { // instead of a link's, another level of the same, and what is wrong
       const said = this.part("problem").textContent;
-      return this.level || level === 0 ? false : this.#opened(0, `${wrong} ${said}`.trim());
+      return wrong !== null && level !== 0 && this.#opened(0, `${wrong} ${said}`.trim());
     }
     this.#take({ ...told, problem: [wrong, told.problem].filter(Boolean).join(" ") });
     this.original = { level: told.level, number: told.number };
@@ -140,10 +146,14 @@ export class Lab {
     return true;
   }
 
-  async #art() {
-    if (this.pictures[this.game]) return;
-    const found = await this.tried(() => this.engine.ask({ kind: "art", game: this.game }));
-    this.pictures[this.game] = new Pictures(found?.pictures ?? {}, () => this.stage.redraw());
+  #clear() {
+    for (const drawn of [this.fields, this.others, this.splay]) drawn.clear();
+  }
+
+  async #art(game) {
+    if (this.pictures[game]) return;
+    const found = await this.tried(() => this.engine.ask({ kind: "art", slot: game, game }));
+    if (found !== null) this.pictures[game] = new Pictures(found?.pictures ?? {}, () => this.stage.redraw());
   }
 
   #take({ level, number, text, problem, state }) {
@@ -179,9 +189,7 @@ export class Lab {
     } catch (error) {
       if (this.changing !== mine) return;
       this.broken = true;
-      this.fields.clear();
-      this.others.clear();
-      this.splay.clear();
+      this.#clear();
       this.goals = this.way = null;
       this.panels.problem(error.message);
       this.stage.redraw();
@@ -210,8 +218,11 @@ export class Lab {
     this.stage.redraw();
     this.panels.edited();
     if (this.links) {
-      this.address = await toLink(this);
-      if (this.address !== location.hash) history.replaceState(null, "", this.address);
+      const address = await toLink(this);
+      if (this.address === location.hash) { // else a newer link is to be followed
+        if (address !== this.address) history.replaceState(null, "", address);
+        this.address = address;
+      }
     }
     await Promise.all([
       this.play(this.episode.actions.slice(0, this.now), 0), this.think(), this.#distinguishes(),
@@ -240,11 +251,7 @@ export class Lab {
   }
 
   async #arrows(fields, slot, question) {
-    if (!question?.agent) {
-      fields.clear();
-      this.stage.redraw();
-      return;
-    }
+    if (!question.agent) { fields.clear(); this.stage.redraw(); return; }
     let first = true;
     const add = ({ cells, policy, value, same }) => {
       if (first) fields.clear();
@@ -324,9 +331,8 @@ export class Lab {
   // The person's action, from the state that is shown on.
   async act(name) {
     const action = this.rules.actions.indexOf(name);
-    if (this.broken || action < 0 || (this.episode.ended && this.now === this.episode.actions.length)) {
-      return;
-    }
+    const over = this.episode.ended && this.now === this.episode.actions.length;
+    if (this.broken || action < 0 || over) return;
     this.#stop();
     const done = await this.play([...this.actions, action], 0);
     if (done) await this.go(this.now);
@@ -342,11 +348,9 @@ export class Lab {
 
   // Let the agent play on, and show it step by step.
   async handOver() {
-    if (this.running) {
-      this.#stop();
-      return;
-    }
-    if (!this.agent || this.broken) return;
+    const stops = this.running;
+    if (stops) this.#stop();
+    if (stops || !this.agent || this.broken) return;
     const mine = (this.running = Symbol("run"));
     this.panels.played();
     const whole = this.play(this.actions, PLAYED_AT_ONCE).then(() => { this.known = mine; });

@@ -3,7 +3,7 @@
 import { plain } from "./level.js";
 import { levels } from "./rules/constants.js";
 
-const LONGEST = 200_000; // characters of a level in an address
+const LONGEST = 50_000; // characters of a level in an address, which unpack to 39 MB at most
 
 // Parse an address; `wrong` has the parts that this lab cannot show. No other agent is ever put
 // in the place of one that is not here.
@@ -11,19 +11,23 @@ export async function fromLink(hash, about) {
   const words = new URLSearchParams(hash.slice(1));
   const game = words.get("game");
   if (!["game", "variant", "agent", "level", "drawn"].some((name) => words.has(name))) return {};
-  if (!Object.hasOwn(about.games, game)) return { agent: "", wrong: `This lab has no game '${game ?? ""}'.` };
+  if (!Object.hasOwn(about.games, game)) return { agent: "", wrong: `This lab has no game ${quoted(game ?? "")}.` };
   const wrong = [];
-  const agent = agentOf(words.get("agent"), game, about, wrong);
+  let agent = agentOf(words.get("agent"), game, about, wrong);
   const { variants } = about.games[game];
   let variant = words.get("variant");
   if (!Object.hasOwn(variants, variant)) {
-    if (variant !== null) wrong.push(`This lab has no variant '${variant}' of ${game}.`);
+    if (variant !== null) wrong.push(`This lab has no variant ${quoted(variant)} of ${game}.`);
     variant = about.agents[agent]?.test ?? Object.keys(variants)[0];
+  }
+  if (agent && !about.agents[agent].variants.includes(variant)) {
+    wrong.push(`The agent '${agent}' cannot play in ${variant} here; no agent is shown.`);
+    agent = "";
   }
   const number = words.get("level") ?? "0";
   let level = Number(number);
   if (!(/^\d+$/.test(number) && level < levels.MOST)) {
-    wrong.push(`A level must be a number from 0 to ${levels.MOST - 1}; the link has '${number}'.`);
+    wrong.push(`A level must be a number from 0 to ${levels.MOST - 1}; the link has ${quoted(number)}.`);
     level = 0;
   }
   if (words.has("drawn")) {
@@ -40,9 +44,11 @@ function agentOf(name, game, { agents, broken }, wrong) {
   if (!name || agent.game === game) return name;
   const why = agent ? `plays ${agent.game}, not ${game}`
     : Object.hasOwn(broken ?? {}, name) ? `cannot be opened: ${broken[name]}` : "is not in this lab";
-  wrong.push(`The agent '${name}' ${why}; no agent is shown.`);
+  wrong.push(`The agent ${quoted(name)} ${why}; no agent is shown.`);
   return "";
 }
+
+const quoted = (text) => `'${text.slice(0, 80)}${text[80] ? "…" : ""}'`;
 
 // An agent for levels of a variant; "" where there is none.
 function firstOf(about, game, variant) {
@@ -51,10 +57,8 @@ function firstOf(about, game, variant) {
 }
 
 export async function toLink({ game, variant, agent, level, number }) {
-  const words = new URLSearchParams({ game, variant, agent });
-  if (number === null) words.set("drawn", await packed(plain(level)));
-  else words.set("level", number);
-  return `#${words}`;
+  const last = number === null ? { drawn: await packed(plain(level)) } : { level: number };
+  return `#${new URLSearchParams({ game, variant, agent, ...last })}`;
 }
 
 async function packed(level) {
@@ -67,7 +71,7 @@ async function unpacked(text) {
     if (text.length > LONGEST) return null;
     const bytes = Uint8Array.from(atob(text.replace(/-/g, "+").replace(/_/g, "/")), (c) => c.charCodeAt(0));
     const level = JSON.parse(new TextDecoder().decode(await piped(bytes, DecompressionStream)));
-    return level && typeof level === "object" ? level : null;
+    return [level.grid, level.agent, ...level.grid].every(Array.isArray) ? level : null;
   } catch {
     return null;
   }

@@ -15,9 +15,9 @@ export function read(text, legend) {
   if (!(beneath in legend)) {
     throw new Error(`the agent is on '${beneath}'; there are: ${Object.keys(legend).join(" ")}`);
   }
-  const lengths = new Set(rows.map((row) => row.length));
-  if (lengths.size !== 1) {
-    throw new Error(`a level's rows are equally long; these have [${rows.map((r) => r.length)}]`);
+  const lengths = rows.map((row) => [...row].length);
+  if (new Set(lengths).size !== 1) {
+    throw new Error(`a level's rows are equally long; these have [${lengths}]`);
   }
   const agents = [];
   const grid = rows.map((row, y) => [...row].map((char, x) => {
@@ -35,9 +35,10 @@ export function read(text, legend) {
 
 export function textOf({ grid, agent }, legend) {
   const chars = Object.fromEntries(Object.entries(legend).map(([char, code]) => [code, char]));
-  const rows = grid.map((row) => row.map((code) => chars[code]));
+  const rows = grid.map((row) => row.map((code) => chars[code] ?? "\ufffd")); // which `read` refuses
   const [x, y] = agent.map(Math.floor);
-  const beneath = rows[y][x];
+  const beneath = rows[y]?.[x];
+  if (!beneath) throw new Error(`the agent is at cell (${x}, ${y}), outside of the level`);
   rows[y][x] = "@";
   const drawing = rows.map((row) => row.join("")).reverse().join("\n");
   return beneath === "." ? drawing : `${drawing}\n${ON}${beneath}`;

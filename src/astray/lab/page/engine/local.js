@@ -75,7 +75,7 @@ export class LocalEngine {
     if (!about) throw new Error(`the game '${game}' needs Python: astray lab`);
     const { rules } = await import(`../${about.rules}`);
     if (!about.knobs[variant]) throw new Error(`unknown variant '${variant}' of ${game}`);
-    let [given, number] = [level, null];
+    let [given, number] = [null, null];
     if (typeof level === "number") {
       const own = this.about.agents[agent]?.levels?.[variant]; // of an agent with knobs of its own
       const { levels } = await this.file(own ?? `data/levels/${game}/${variant}.json`);
@@ -85,6 +85,8 @@ export class LocalEngine {
       given = { ...read(kept.text, about.legend), looks: kept.looks };
     } else if (typeof level === "string") {
       given = { ...read(level, about.legend), looks: {} };
+    } else {
+      given = { ...read(textOf(level, about.legend), about.legend), looks: level.looks };
     }
     const kind = { ...about.knobs[variant], ...knobs };
     if (kind.world && (given.grid.length !== kind.world || given.grid[0].length !== kind.world)) {

@@ -1,5 +1,7 @@
 // Questions that are asked elsewhere, and their answers as they come.
 
+import { messages } from "../rules/constants.js";
+
 export class Questions {
   // `send` sends the text of a question, which says its id; its answers are for `hear`.
   constructor(send) {
@@ -11,12 +13,9 @@ export class Questions {
   hear({ id, done, stale, error, ...part }) {
     const asked = this.waiting.get(id);
     if (!asked) return;
-    if (!done) {
-      asked.heard(part);
-      return;
-    }
-    this.waiting.delete(id);
-    if (stale) asked.resolve(null);
+    if (done) this.waiting.delete(id);
+    if (!done) asked.heard(part);
+    else if (stale) asked.resolve(null);
     else if (error) asked.reject(new Error(error));
     else asked.resolve(part);
   }
@@ -27,6 +26,8 @@ export class Questions {
     const text = JSON.stringify({ id, ...message });
     this.#giveUp(message);
     return new Promise((resolve, reject) => {
+      const most = messages.LARGEST; // of more, the connection would be cut, and it asked again
+      if (text.length > most) throw new Error(`a message must be at most ${most} characters; got ${text.length}`);
       this.waiting.set(id, { resolve, reject, heard, text, message });
       this.send(text);
     });
