@@ -192,6 +192,25 @@ def test_agents_of_other_kinds_tell_how_much_agents_differ():
     assert pooled.high - pooled.low < alone.high - alone.low
 
 
+@pytest.mark.parametrize("rate", [False, True])
+def test_a_pooled_difference_is_the_same_from_either_side_also_of_a_single_agent(rate):
+    values = np.random.default_rng(0).normal(size=(4, 30)) + np.arange(4)[:, None] / 5
+    one, other = kinds = [kind > 0.3 if rate else kind for kind in (values[:1], values[1:])]
+    ours, theirs = (estimate_difference(*pair, pool=kinds) for pair in (kinds, kinds[::-1]))
+    assert (ours.low, ours.high) == pytest.approx((-theirs.high, -theirs.low))
+    assert ours.freedom == theirs.freedom
+    if not rate:  # Student's quantile of the three: nothing tells how the single one varies
+        spread = stats.t.ppf(0.975, 2) * other.mean(1).std(ddof=1) / 3**0.5
+        assert ours.high - ours.mean >= spread
+
+
+@pytest.mark.parametrize("single", [np.ones(9), np.ones((1, 9))])
+def test_a_pool_of_single_agents_says_nothing_of_their_spread(single):
+    values = np.random.default_rng(0).normal(size=(3, 9))
+    assert estimate_mean(values, pool=[single]) == estimate_mean(values)
+    assert estimate_mean(values, pool=[single, values]) == estimate_mean(values)
+
+
 def test_one_agent_alone_has_no_interval_over_agents():
     assert np.isnan(over_agents(np.ones((1, 2)))).tolist() == [[False] * 2, [True] * 2, [True] * 2]
 

@@ -136,7 +136,7 @@ def estimate_difference(
         _between_agents(rest, pool, mean if rate else None) if len(rest) > 1 else (0.0, math.inf)
         for rest, mean in zip(rests, means, strict=True)
     ]
-    freedom = spreads[0][1] if pool else _satterthwaite(spreads)
+    freedom = min(known for _, known in spreads) if pool else _satterthwaite(spreads)
     normal, wide = quantile(math.inf), quantile(freedom)
     if same_levels:
         noise = sum(_noise(rest) / rest.size for rest in rests)
@@ -290,8 +290,8 @@ def _between_agents(
 
     agents = len(rest)
     variance, freedom = float(rest.mean(1).var(ddof=1)), agents - 1
-    if pool:
-        several = [np.atleast_2d(np.asarray(kind, float)) for kind in pool if len(kind) > 1]
+    kinds = (np.atleast_2d(np.asarray(kind, float)) for kind in pool)
+    if several := [kind for kind in kinds if len(kind) > 1]:
         freedom = sum(len(kind) - 1 for kind in several)
         common = sum(
             (len(kind) - 1)
