@@ -195,12 +195,12 @@ def test_agents_of_other_kinds_tell_how_much_agents_differ():
 @pytest.mark.parametrize("rate", [False, True])
 def test_a_pooled_difference_is_the_same_from_either_side_also_of_a_single_agent(rate):
     values = np.random.default_rng(0).normal(size=(4, 30)) + np.arange(4)[:, None] / 5
-    one, other = kinds = [kind > 0.3 if rate else kind for kind in (values[:1], values[1:])]
+    kinds = [kind > 0.3 if rate else kind for kind in (values[:1], values[1:])]
     ours, theirs = (estimate_difference(*pair, pool=kinds) for pair in (kinds, kinds[::-1]))
     assert (ours.low, ours.high) == pytest.approx((-theirs.high, -theirs.low))
     assert ours.freedom == theirs.freedom
     if not rate:  # Student's quantile of the three: nothing tells how the single one varies
-        spread = stats.t.ppf(0.975, 2) * other.mean(1).std(ddof=1) / 3**0.5
+        spread = stats.t.ppf(0.975, 2) * kinds[1].mean(1).std(ddof=1) / 3**0.5
         assert ours.high - ours.mean >= spread
 
 

@@ -16,6 +16,7 @@ from astray import imports
 from astray.envs import compiled
 from astray.games import find
 from astray.kernel import cache, jit
+from astray.kernel.stored import _Files
 from helpers.owners import POSIX, give_away
 
 pytestmark = pytest.mark.usefixtures("alone")
@@ -39,6 +40,23 @@ def test_what_is_another_users_is_not_used(what, tmp_path, monkeypatch):
     with pytest.warns(UserWarning, match="compiled code is not kept: .* is of another user"):
         other = cache.cache_folder(DIGEST)
     assert tmp_path not in Path(other).parents and os.listdir(other) == []
+
+
+@POSIX
+def test_a_file_that_another_process_renames_while_it_is_looked_at_is_no_danger(
+    tmp_path, monkeypatch
+):
+    folder = prepared(tmp_path / "home" / "astray" / DIGEST)
+    begun, looked = folder / "envs" / "loops.1.nbc.tmp.0", Path.lstat
+    begun.write_bytes(b"")
+
+    def renamed(path):
+        if path == begun and begun.exists():
+            begun.rename(folder / "envs" / "loops.1.nbc")
+        return looked(path)
+
+    monkeypatch.setattr(Path, "lstat", renamed)
+    assert cache.cache_folder(DIGEST) == str(folder.resolve()) and not begun.exists()
 
 
 @POSIX
@@ -141,6 +159,18 @@ def test_files_of_compiled_code_with_other_bytes_are_made_anew(code):
         path.write_bytes(data)
         anew = jit.entry(twice)
         assert anew(3) == 6 and not anew.stats.cache_hits
+
+
+@COMPILED
+def test_two_processes_that_write_code_for_other_types_at_once_keep_it_apart(code, monkeypatch):
+    late = []
+    with monkeypatch.context() as patch:  # both read the index before either writes it
+        patch.setattr(_Files, "_load_index", lambda self: {})
+        patch.setattr(_Files, "_save_data", lambda *what: late.append(what))
+        assert (jit.entry(twice)(3), jit.entry(twice)(3.5)) == (6, 7)
+    for what in reversed(late):
+        _Files._save_data(*what)
+    assert (jit.entry(twice)(3.5), jit.entry(twice)(3)) == (7, 6)
 
 
 @COMPILED

@@ -91,8 +91,9 @@ def _check_trusted(folder: Path) -> None:
     for parent, folders, files in os.walk(folder, onerror=_raise):
         for name in (*folders, *files):
             path = Path(parent, name)
-            if _check_owned(path) & OTHERS and not (is_closed or path.is_symlink()):
-                raise PermissionError(f"others may write to {path}")
+            with contextlib.suppress(FileNotFoundError):  # another process has renamed it
+                if _check_owned(path) & OTHERS and not (is_closed or path.is_symlink()):
+                    raise PermissionError(f"others may write to {path}")
 
 
 def _check_owned(path: Path) -> int:

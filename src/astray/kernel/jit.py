@@ -98,10 +98,10 @@ def _frozen(function: FunctionType, passed: set[FunctionType]) -> Iterator[tuple
 
 
 def _written(function: FunctionType) -> tuple[Any, ...]:
-    """Return what tells a function from others of its module, or of the same lines."""
+    """Return what tells a function from others, also from what its file says by now."""
     code, values = function.__code__, (*(function.__defaults__ or ()), *_closed(function).values())
-    kept = [_kept(value) for value in values if isinstance(value, VALUES)]
-    return code.co_qualname, code.co_firstlineno, code.co_code, kept
+    kept = [_kept(value) for value in (*code.co_consts, *values) if isinstance(value, VALUES)]
+    return code.co_qualname, code.co_firstlineno, code.co_code, code.co_names, kept
 
 
 def _closed(function: FunctionType) -> dict[str, Any]:

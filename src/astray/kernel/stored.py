@@ -67,6 +67,12 @@ class _Files(IndexDataCacheFile):
         with super()._open_for_write(filepath) as file:
             file.write(content.getvalue() + hashlib.sha256(content.getvalue()).digest())
 
+    def save(self, key: Any, data: Any) -> None:
+        # A file for each type, which no other process gives to another.
+        name = self._data_name(int(hashlib.sha256(repr(key).encode()).hexdigest()[:12], 16))
+        self._save_data(name, data)
+        self._save_index(self._load_index() | {key: name})
+
     def _load_index(self) -> dict:
         return super()._load_index() if _is_whole(Path(self._index_path)) else {}
 
