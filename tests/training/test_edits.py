@@ -50,6 +50,18 @@ def test_a_cheese_on_a_dish_is_moved_with_it_and_stays_on_it():
     assert ((before["goal_x"] != after["goal_x"]) | (before["goal_y"] != after["goal_y"])).any()
 
 
+@pytest.mark.parametrize("kind", ["constant", "binomial"])
+def test_a_cheese_is_not_placed_on_an_object_that_is_no_dish(kind):
+    gem = {"other_shape": "gem", "other_colour": "red", "shift_probability": 0.5}
+    variant = GAME.variant("corner-small").with_knobs(gem)
+    _, after = edited(kind, variant)
+    for _ in range(3):
+        after = GAME.mutation.mutate(after, variant, np.arange(len(after)), 12, kind)
+        for s in after.view(np.recarray):
+            again = Level.of(GAME, variant, s).state()  # which refuses such a level
+            assert (again["goal_x"], again["other_y"]) == (s.goal_x, s.other_y)
+
+
 def test_edits_follow_from_their_seeds_and_leave_the_levels_they_came_from():
     before, after = edited("binomial", count=20)
     again, same = edited("binomial", count=20)

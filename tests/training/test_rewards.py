@@ -10,6 +10,7 @@ from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.folders import AGENT, latest
 from astray.training.loop import iterate, train
+from astray.training.settings import Sampling
 from helpers.rooms import CELLS, WORLD
 
 ROOM = Config(WORLD, "end", num_envs=8, num_steps=32, minibatches=4, steps=2 * 256)
@@ -101,3 +102,12 @@ def test_a_reward_that_cannot_be_is_refused(reward, said):
 def test_a_reward_by_a_name_that_is_none_is_refused():
     with pytest.raises(ValueError, match="reward must be module:function; got 'mine'"):
         Config(reward="mine")
+
+
+@pytest.mark.parametrize("sampler", ["plr", "accel"])
+def test_regret_of_the_games_reward_is_not_taken_from_ones_own(sampler):
+    with pytest.raises(ValueError, match="'regret' needs the game's own reward; got 'mine:paid'"):
+        Config(
+            variant="corner-small", sampler=Sampling(sampler, score="regret"), reward="mine:paid"
+        )
+    assert Config(sampler=Sampling(sampler), reward="mine:paid").reward == "mine:paid"

@@ -166,6 +166,8 @@ class Config:
         object.__setattr__(self, "knobs", {name: getattr(variant, name) for name in self.knobs})
         self.find_game().drawn(self.art)
         how = self.sampler.kind, self.teacher
+        if self.reward is not None and self.sampler.score == "regret" and how[0] in SCORING:
+            raise ValueError(f"score 'regret' needs the game's own reward; got {self.reward!r}")
         if isinstance(self.find_game(), World) and how != ("uniform", None):
             raise ValueError(
                 f"levels of {self.game} are drawn uniformly, and no agent teaches there, as its "

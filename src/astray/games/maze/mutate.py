@@ -93,7 +93,7 @@ def edit_wall(s, right, top):
         return
     if s.cell[y, x] == WALL:
         s.cell[y, x] = EMPTY
-    elif s.cell[y, x] == EMPTY and not is_taken(s, x, y):
+    elif s.cell[y, x] == EMPTY and (x != int(s.x) or y != int(s.y)):
         s.cell[y, x] = WALL
         if not is_whole(s):
             s.cell[y, x] = EMPTY
@@ -119,7 +119,7 @@ def edit_mouse(s, p, right, top):
     if pick == 0:
         edit_wall(s, right, top)
         return
-    x, y = free_cell(s)
+    x, y = free_cell(s, 0, 0)
     if x == NEVER:
         return
     if moves_mouse and pick == 1:
@@ -134,7 +134,7 @@ def edit_mouse(s, p, right, top):
 
 @kernel
 def edit_goal(s, params):
-    """Place the goal as in a new level; it stays if its new place is the mouse's or cut off."""
+    """Place the goal as in a new level; it stays if its new place is taken or cut off."""
     if s.goal_x == NEVER:
         return
     shifted = unit(s) < params[0].shift_probability
@@ -147,23 +147,18 @@ def edit_goal(s, params):
     elif p.placement == ON_OTHER:
         x, y = s.other_x, s.other_y
     elif p.placement == ANYWHERE:
-        x, y = free_cell(s)
+        x, y = free_cell(s, 0, 0)
     else:
-        x, y = free_cell_in(s, s.corner_x + 1 - p.region, s.corner_y + 1 - p.region)
+        x, y = free_cell(s, s.corner_x + 1 - p.region, s.corner_y + 1 - p.region)
     steps = distances(s.cell[: s.world, : s.world] != WALL, int(s.x), int(s.y))
-    if x == NEVER or (x == int(s.x) and y == int(s.y)) or steps[y, x] == UNREACHABLE:
+    wanted = OTHER if p.placement == ON_OTHER else EMPTY
+    if x == NEVER or s.cell[y, x] != wanted or steps[y, x] <= 0:  # 0: where the mouse is
         s.cell[was_y, was_x] = was
         return
     furnish(s, p)
     s.time_limit, s.shifted = p.time_limit, shifted
     s.cell[y, x] = BOTH if s.cell[y, x] == OTHER else GOAL
     s.goal_x, s.goal_y = x, y
-
-
-@kernel
-def is_taken(s, x, y):
-    """Return whether cell (x, y) holds the mouse or is the corner, which stays a proxy."""
-    return (x == int(s.x) and y == int(s.y)) or (x == s.corner_x and y == s.corner_y)
 
 
 @kernel
@@ -177,22 +172,14 @@ def is_whole(s):
 
 
 @kernel
-def free_cell(s):
-    """Draw an empty cell that the mouse can reach; (NEVER, NEVER) if there is none."""
-    return free_cell_in(s, 0, 0)
-
-
-@kernel
-def free_cell_in(s, left, low):
-    """Draw a `free_cell` from column `left` and row `low` on."""
+def free_cell(s, left, low):
+    """Draw an empty cell that the mouse can reach, from `left` and `low` on; or NEVER, NEVER."""
     steps = distances(s.cell[: s.world, : s.world] != WALL, int(s.x), int(s.y))
     count = 0
     for y in range(max(low, 0), s.world):
         for x in range(max(left, 0), s.world):
             count += steps[y, x] > 0 and s.cell[y, x] == EMPTY  # 0: where the mouse is
-    if count == 0:
-        return NEVER, NEVER
-    pick = below(s, count)
+    pick = below(s, count) if count > 0 else 0
     for y in range(max(low, 0), s.world):
         for x in range(max(left, 0), s.world):
             if steps[y, x] > 0 and s.cell[y, x] == EMPTY:
