@@ -182,6 +182,11 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
         ),
         ("level maze corner --set region", "a knob must be set as NAME=VALUE; got 'region'"),
         ("level maze corner --set world=5 --set world=7", "knob 'world' is set twice: to '5' and"),
+        (
+            "train maze corner --set lr=1 learning_rate=2",
+            "'learning_rate' is set twice: to '1' and",
+        ),
+        ("train maze corner --set", "a knob must be set as NAME=VALUE; got ''"),
         ("level maze corner --set squid=5", "unknown knob 'squid'; there are: time_limit"),
         ("level maze corner --set region=5.5", "region must be of type int; got 5.5"),
         (

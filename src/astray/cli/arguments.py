@@ -18,7 +18,7 @@ from astray.game import OWN, Game, Variant
 from astray.level import Level
 from astray.level_files import read_levels
 from astray.record import LEVELS
-from astray.training.settings import KNOB, otherwise
+from astray.training.settings import KNOB, SHORT, otherwise
 from astray.validation import AT_ONCE, bounded, command_of, of_kind, one_of
 from astray.world import World
 
@@ -358,9 +358,9 @@ def pairs(knobs: Words) -> dict[str, Any]:
         ValueError: If a knob has no value, or two.
     """
     found: dict[str, Any] = {}
-    for knob in (knob for together in knobs for knob in together):
+    for knob in (knob for together in knobs for knob in together or ("",)):
         name, equals, value = knob.partition("=")
-        name = name.removeprefix(KNOB)
+        name = SHORT.get(name, name).removeprefix(KNOB)
         if not equals:
             raise ValueError(f"a knob must be set as NAME=VALUE; got {knob!r}")
         if name in found:
