@@ -73,6 +73,14 @@ def test_a_kill_while_an_old_checkpoint_is_removed_leaves_no_half_of_it(tmp_path
     assert not [p for p in (tmp_path / "checkpoints").iterdir() if p.name.startswith(".")]
 
 
+def test_a_refused_training_leaves_no_settings_beside_checkpoints_that_have_others(run):
+    (run / "config.json").unlink()
+    with pytest.raises(ValueError, match="gamma is"):
+        train(replace(SHORT, gamma=0.5), run, progress=False)
+    train(SHORT, run, progress=False)
+    assert json.loads((run / "config.json").read_text())["config"]["gamma"] == SHORT.gamma
+
+
 @pytest.mark.parametrize("name", [checkpoint.AGENT, checkpoint.TRAINER])
 def test_a_checkpoint_that_is_cut_at_any_byte_is_refused(run, name):
     path = checkpoint.latest(run) / name

@@ -61,7 +61,7 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
         yield
         return
     path, there = folder / CONFIG, folder / "checkpoints"
-    begun = False
+    found = None
     with contextlib.ExitStack() as held:
         try:
             held.enter_context(hold(folder, "is training in", wait))
@@ -85,17 +85,23 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
                     "sources": provenance.digest(Trainer, config.code()),
                 }
                 data = {"config": config.to_json(), "versions": versions}
+                found = _written(folder)
                 write_aside(path, json.dumps(data, indent=2).encode())
-                begun = True
             remove_left(folder, (path.name, METRICS))
             remove_left(there, (AGENT, TRAINER))
             parallel.wait()
             yield
         except BaseException:
             # One that was refused, as for its memory, leaves nothing that another would be held to.
-            if begun and not there.exists() and not (folder / METRICS).exists():
+            if found == _written(folder):
                 path.unlink(missing_ok=True)
             raise
+
+
+def _written(folder: Path) -> tuple[list[int], int]:
+    """Return what a training writes: the steps of checkpoints, and the bytes of metrics.jsonl."""
+    metrics = folder / METRICS
+    return steps_saved(folder), metrics.stat().st_size if metrics.exists() else 0
 
 
 def _check_folders(there: Path, config: Config) -> None:
