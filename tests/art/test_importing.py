@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import io
+import os
 import struct
 import sys
 import threading
@@ -228,6 +229,16 @@ def test_pictures_are_premultiplied_and_backgrounds_opaque(pack, tmp_path):
         alpha = np.full_like(rgba[..., 3:], 255) if k == 0 else rgba[..., 3:]
         assert np.array_equal(ours[..., 3:], alpha)
         assert np.abs(ours[..., :3] - rgba[..., :3] * alpha / 255).max() <= 0.5 + 1e-9
+
+
+def test_a_file_larger_than_memory_in_place_of_a_picture_is_not_read(pack, tmp_path):
+    wheel = wheel_of(tmp_path / "a.whl", pack)
+    original.take(wheel)
+    os.truncate(tmp_path / "art/kenney/a.png", 2**40)  # without blocks on the disk
+    with pytest.raises(ValueError, match=r"a.png is not Procgen's picture"):
+        original.take(wheel)
+    with pytest.raises(ValueError, match="is not what was imported; remove it, and: astray art"):
+        original.atlas(list(pack))
 
 
 def test_what_was_decoded_is_kept_and_made_anew_where_it_is_broken(pack, tmp_path):

@@ -61,6 +61,11 @@ class Picture:
         """Return whether `data` are exactly the bytes of the file."""
         return len(data) == self.bytes and hashlib.sha256(data).hexdigest() == self.sha256
 
+    def read(self, path: Path) -> bytes:
+        """Return the bytes of a file, of a larger one only one more than the picture has."""
+        with open(path, "rb") as file:
+            return file.read(self.bytes + 1)
+
     @property
     def kept(self) -> Path:
         """Path of the imported file."""
@@ -68,8 +73,7 @@ class Picture:
 
 
 def _table(name: str) -> list[dict[str, str]]:
-    text = Path(__file__).with_name(name).read_text(encoding="utf-8")
-    return list(csv.DictReader(io.StringIO(text)))
+    return list(csv.DictReader(io.StringIO(Path(__file__).with_name(name).read_text("utf-8"))))
 
 
 PICTURES = {
@@ -126,8 +130,7 @@ def take(source: Path | None = None) -> list[str]:
 
 def _is_kept(path: str) -> bool:
     """Return whether exactly this picture is imported."""
-    kept = PICTURES[path].kept
-    return kept.is_file() and PICTURES[path].is_this(kept.read_bytes())
+    return (one := PICTURES[path]).kept.is_file() and one.is_this(one.read(one.kept))
 
 
 def _download(to: Path) -> Path:
@@ -189,10 +192,7 @@ def _reader(checkout: Path) -> Callable[[Picture], bytes | None]:
 
     def read(picture: Picture) -> bytes | None:
         path = assets / PurePosixPath(picture.path)
-        if not path.is_file():
-            return None
-        with open(path, "rb") as file:
-            return file.read(picture.bytes + 1)
+        return picture.read(path) if path.is_file() else None
 
     return read
 
@@ -307,7 +307,7 @@ def _decode(paths: Sequence[str], backgrounds: int) -> np.ndarray:
     parts, sizes = [], []
     for k, path in enumerate(paths):
         kept = PICTURES[path].kept
-        data = kept.read_bytes()
+        data = PICTURES[path].read(kept)
         if not PICTURES[path].is_this(data):
             raise ValueError(f"{kept} is not what was imported; remove it, and: {COMMAND}")
         with Image.open(io.BytesIO(data)) as image:
