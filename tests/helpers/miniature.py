@@ -5,7 +5,9 @@ from pathlib import Path
 
 from astray.experiments import run
 from astray.experiments.spec import Plan
+from astray.training.config import Config
 from astray.training.loop import train
+from astray.training.settings import SCORING
 
 
 def miniature(plan: Plan, time_limit: int = 25) -> Plan:
@@ -19,12 +21,19 @@ def miniature(plan: Plan, time_limit: int = 25) -> Plan:
             minibatches=4,
             width=16,
             checkpoint_every=1,
-            buffer=min(96, config.sampler.buffer // 64),  # kinds that differ in it stay apart
             knobs={**config.knobs, "time_limit": time_limit},
+            **buffer_of(config),
         )
         for name, config in plan.agents.items()
     }
     return replace(plan, agents=agents, seeds=2, levels=20)
+
+
+def buffer_of(config: Config) -> dict[str, int]:
+    """A small buffer for a sampler that has one; kinds that differ in it stay apart."""
+    if config.sampler.kind not in SCORING:
+        return {}
+    return {"buffer": min(96, config.sampler.buffer // 64)}
 
 
 def train_here(plan: Plan, root: Path) -> None:
