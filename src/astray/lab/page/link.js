@@ -71,7 +71,8 @@ async function unpacked(text) {
     if (text.length > LONGEST) return null;
     const bytes = Uint8Array.from(atob(text.replace(/-/g, "+").replace(/_/g, "/")), (c) => c.charCodeAt(0));
     const level = JSON.parse(new TextDecoder().decode(await piped(bytes, DecompressionStream)));
-    return [level.grid, level.agent, ...level.grid].every(Array.isArray) ? level : null;
+    const whole = [level.grid, level.agent, ...level.grid].every(Array.isArray);
+    return whole && level.agent.length === 2 ? level : null;
   } catch {
     return null;
   }
