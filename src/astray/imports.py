@@ -115,11 +115,11 @@ def name_of(thing: Any) -> str:
     return name
 
 
-def find(name: str) -> Any:
+def find(name: str, called: bool = False) -> Any:
     """Import the module in a name "module:attribute", and return the object. The module is run.
 
     Raises:
-        ValueError: If there is no such object, or the module fails.
+        ValueError: If there is no such object, the module fails, or it cannot be `called`.
     """
     if not is_name(name):
         raise ValueError(f"{name!r} must be a module and what is in it; as module:attribute")
@@ -127,9 +127,12 @@ def find(name: str) -> Any:
     told = f"the module {module!r} is still being imported after {LONG:g} seconds"
     try:
         with announced(LONG, told), guarded(f"the module {module!r}", ImportError, AttributeError):
-            return _attribute(importlib.import_module(module), name)
+            found = _attribute(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:
         raise ValueError(f"{name!r} must be a module and what is in it; {error}") from error
+    if called and not callable(found):
+        raise ValueError(f"{name!r} must be a function or a class, not a {type(found).__name__}")
+    return found
 
 
 def find_each(names: Sequence[str]) -> dict[str, Any]:

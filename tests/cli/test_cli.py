@@ -135,6 +135,23 @@ def test_an_agent_is_recorded_as_a_video(astray, run_folder, tmp_path):
     )
 
 
+@pytest.mark.parametrize("name", ["config.json", "checkpoints/512/agent.safetensors"])
+def test_an_evaluation_is_not_written_over_what_is_played(astray, run_folder, name):
+    before = (run_folder / name).read_bytes()
+    said = astray("evaluate", run_folder, "--out", run_folder / name, fails=True)
+    assert "a table of episodes is a .parquet file" in said
+    assert (run_folder / name).read_bytes() == before
+
+
+@pytest.mark.parametrize("setting", ["--loss", "--reward", "--network", "--sampler"])
+def test_a_part_of_a_training_that_cannot_be_called_is_refused(astray, tmp_path, setting):
+    words = ("train", "maze", "corner-small", *TINY, "--out", tmp_path / "o")
+    assert "'os:sep' must be a function or a class, not a str" in astray(
+        *words, setting, "os:sep", fails=True
+    )
+    assert not [path for path in tmp_path.rglob("*") if path.is_file() and path.name != ".lock"]
+
+
 def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp_path, full_disk):
     full_disk(2048)
     out = tmp_path / "episodes.parquet"

@@ -141,10 +141,11 @@ def evaluate(
         # os.path: many numbers are too long for the name of a file, and pathlib says so
         played = Path(levels) if os.path.exists(levels) else level_numbers(levels)
     if out:
+        if out.suffix != ".parquet":  # nor what is played, as an agent's weights
+            raise ValueError(f"a table of episodes is a .parquet file, not {out}")
         check_writable(out)
     own = imports.find_each(rewards)
-    how: dict[str, Any] = {"batch": batch, "solvable": not unsolvable, "longest": longest}
-    how["rewards"] = own
+    how: dict[str, Any] = dict(batch=batch, solvable=not unsolvable, longest=longest, rewards=own)
     if policy.replaces(agents, {"--shift": tested.shift}):
         assert tested.shift is not None
         rules, player = policy.rules(), policy.make(tested.acting)

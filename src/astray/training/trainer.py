@@ -61,7 +61,7 @@ class Trainer:
         self.steps = 0  # environment steps done
         variant, groups = config.training_variant(), acceleration.groups(config)
         chooses = _sampler(config, sampler)
-        own_reward = reward or (imports.find(config.reward) if config.reward else None)
+        own_reward = reward or (imports.find(config.reward, True) if config.reward else None)
         self.player = Player(
             config, variant, config.training_levels, 1, groups, chooses, own_reward
         )
@@ -80,7 +80,7 @@ class Trainer:
         # The user's own names may be imported.
         own = is_own(config.network)
         _check_pixels(config, self.player.images)
-        build = network or (Architecture.build if own else imports.find(config.network))
+        build = network or (Architecture.build if own else imports.find(config.network, True))
         self._check_memory(build)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
@@ -94,7 +94,7 @@ class Trainer:
         if self.memory:
             _check_sequences(config)
         usual = ppo.loss if config.teacher is None else distilled
-        what = loss or (imports.find(config.loss) if config.loss else usual)
+        what = loss or (imports.find(config.loss, True) if config.loss else usual)
         self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
         self.actor = self._acts(self.player, config.num_steps)
         self.validator = self.validation and self._acts(self.validation, 1)
@@ -258,7 +258,7 @@ class Trainer:
 def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
     """Return the sampler of training levels; None if the environments draw them."""
     if make or config.sampler.kind not in SAMPLERS:
-        return (make or imports.find(config.sampler.kind))(config)
+        return (make or imports.find(config.sampler.kind, True))(config)
     if config.sampler.kind == "uniform":
         return None
     return {"mixed": Mixed, "growing": Growing}.get(config.sampler.kind, Replay)(config)
