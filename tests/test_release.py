@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import astray
-from astray import games
+from astray import games, imports
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -158,6 +158,12 @@ def test_a_verb_says_which_extra_a_single_missing_library_is_of(library, words, 
         f'astray: the command astray needs {library}: pip install ".[train]" in a clone of astray'
     ]
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["of_a_user", "torch_geometric", "astray.of_mine", "ray"])
+def test_a_library_that_the_extra_does_not_install_is_told_as_it_is(name):
+    error = ModuleNotFoundError(f"No module named {name!r}", name=name)
+    assert imports.needed_by("the command astray", error) is error
 
 
 def test_the_version_is_told(astray):

@@ -225,11 +225,11 @@ def extra(name: str, need: str) -> Iterator[None]:
 
 
 def needed_by(thing: str, error: ModuleNotFoundError) -> ImportError:
-    """Return the error for a missing library that an installation without extras does not have."""
+    """Return the error for a missing library: that of `missing`, if the extra train installs it."""
     library = f"{error.name}".partition(".")[0]
-    if library == "astray":
-        return error
-    return missing(f"{thing} needs {library}", "train")
+    ours = re.compile(rf"{re.escape(library)}\b(?!-).*extra == .train")  # not a user's own
+    is_ours = any(map(ours.match, distribution("astray").requires or ()))
+    return missing(f"{thing} needs {library}", "train") if is_ours else error
 
 
 def _attribute(thing: Any, name: str) -> Any:

@@ -64,7 +64,7 @@ def build(make: Callable[[], nn.Module], tensors: Mapping[str, Tensor]) -> Any:
 def of_procgen(
     kind: str, tensors: Mapping[str, Tensor], about: str, *more: Any, **settings: Any
 ) -> Imported:
-    """Return the agent with a network of this kind and settings, and weights by astray's names.
+    """Return the agent of a network with these weights; `more` are the last fields of `Imported`.
 
     Raises:
         ValueError: If they do not fit, or are for other actions than Procgen's 15.
