@@ -135,7 +135,7 @@ EXPERIMENT = Experiment(
         "night": plan(
             maze_corner.NIGHT.changed(network="strided-impala"),
             "many-keys",
-            seeds=5,
+            seeds=3,
             differences="a network of two strided convolutions before one of the paper's blocks, "
             + maze_corner.LESSONS,
             speed=2500,
