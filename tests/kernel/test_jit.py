@@ -150,8 +150,9 @@ def test_compiled_code_is_new_after_a_change_of_a_value_that_a_module_reads(tmp_
 
 
 CHOSEN = """
-import enum, json, types
+import enum, importlib, json, types
 from pathlib import Path
+import numba
 import numpy as np
 from astray.kernel.jit import entry, kernel
 
@@ -168,6 +169,12 @@ def left(x): return x - 1
 @kernel
 def right(x): return x + 1
 WAY = {"left": left, "right": right}[CHOICE["way"]]
+WAYS = (left, right) if CHOICE["way"] == "left" else (right, left)
+PART, OTHER = slice(SPEED), importlib.import_module("other")
+@numba.vectorize
+def each(x): return SPEED * x
+@numba.extending.register_jitable
+def plainly(x): return SPEED * x
 
 def faster(by):
     @kernel
@@ -194,6 +201,22 @@ def kind(x): return ROUND(x)
 def names(x): return RATES.TOP.value * x
 @entry
 def member(x): return TOP_RATE.value * x
+@entry
+def one_of_two(x): return WAYS[0](x)
+@entry
+def part(x): return np.arange(x)[PART].sum()
+@entry
+def vectorized(x): return each(x)
+@entry
+def inlined(x): return plainly(x)
+@entry
+def by_name(x): return OTHER.often(x)
+"""
+
+OTHER = """
+from astray.kernel.jit import kernel
+@kernel
+def often(x): return sum([{} * x for _ in range(2)])
 """
 
 
@@ -208,6 +231,11 @@ def member(x): return TOP_RATE.value * x
         ("kind", {"kind": "float32"}),
         ("names", {"speed": 2}),
         ("member", {"speed": 2}),
+        ("one_of_two", {"way": "left"}),
+        ("part", {"speed": 2}),
+        ("vectorized", {"speed": 2}),
+        ("inlined", {"speed": 2}),
+        ("by_name", {"inner": 2}),
     ],
 )
 def test_what_compiled_code_keeps_is_in_its_digest(of, changed, tmp_path, monkeypatch):
@@ -216,10 +244,11 @@ def test_what_compiled_code_keeps_is_in_its_digest(of, changed, tmp_path, monkey
     Path("chosen.py").write_text(CHOSEN)
     told = []
     for choice in ({}, {}, changed, {"unused": 1}):
-        usual = {"speed": 1, "way": "right", "kind": "float64"}
+        usual = {"speed": 1, "way": "right", "kind": "float64", "inner": 1}
         Path("choice.json").write_text(json.dumps(usual | choice))
+        Path("other.py").write_text(OTHER.format((usual | choice)["inner"]))
         told.append(code_digest(getattr(importlib.import_module("chosen"), of)))
-        del sys.modules["chosen"]
+        del sys.modules["chosen"], sys.modules["other"]
     assert told[0] == told[1] == told[3] != told[2] and None not in told
 
 

@@ -24,7 +24,7 @@ from astray.kernel.stored import Stored
 from astray.kernel.versions import LOCK
 
 VALUES = (
-    bool, int, float, complex, str, bytes, tuple, np.ndarray, np.generic, np.dtype, type,
+    bool, int, float, complex, str, bytes, tuple, np.ndarray, np.generic, np.dtype, type, slice,
     enum.Enum, numba.types.Type,
 )  # fmt: skip  # what compiled code keeps
 
@@ -51,16 +51,13 @@ def code_digest(function: Any) -> str | None:
         16 hexadecimal digits, or None if the dependencies are unknown: the function has no file,
         as in a notebook, or another function made it.
     """
-    told, parts = [], list(_parts("", function))
-    for name, part in parts:
-        if not isinstance(part, FunctionType):
-            told.append((name, part))
-        elif part.__closure__:
+    told, called = [], set()
+    for name, part in _parts("", function):
+        is_function = isinstance(part, FunctionType)
+        if is_function and part.__closure__:
             return None
-        else:
-            told.append((name, *_written(part)))
-            told.extend(_frozen(part, set()))
-    return provenance.digest([part for _, part in parts], data=sorted(told, key=repr))
+        told.extend(_frozen(name, part, called) if is_function else [(name, part)])
+    return provenance.digest(called, data=sorted(told, key=repr))
 
 
 def _parts(name: str, part: Any) -> Iterator[tuple[str, Any]]:
@@ -71,11 +68,14 @@ def _parts(name: str, part: Any) -> Iterator[tuple[str, Any]]:
         yield from _parts(inner, bound)
 
 
-def _frozen(function: FunctionType, passed: set[FunctionType]) -> Iterator[tuple[str, Any]]:
+def _frozen(name: Any, function: FunctionType, passed: set[FunctionType]) -> Iterator[tuple]:
     """Find the globals whose values compiled code keeps, also in the kernels that it calls.
 
     No source shows these where a module read them from a file or the environment.
     """
+    yield name, *_written(function)
+    if function in passed:
+        return
     passed.add(function)
     codes = [function.__code__]
     for code in codes:
@@ -86,15 +86,15 @@ def _frozen(function: FunctionType, passed: set[FunctionType]) -> Iterator[tuple
     for scope in scopes:  # also those of modules that are found in these
         for name in filter(scope.__contains__, used):
             value = scope[name]
-            if hasattr(value, "_numba_type_"):
-                called = inspect.unwrap(getattr(value, "py_func", value))
-                yield name, *_written(called)
-                if called not in passed:
-                    yield from _frozen(called, passed)
-            elif isinstance(value, ModuleType) and all(vars(value) is not s for s in scopes):
-                scopes.append(vars(value))
-            elif isinstance(value, VALUES):
-                yield name, _kept(value)
+            for at, one in enumerate(value if isinstance(value, tuple) else (value,)):
+                called = inspect.unwrap(getattr(one, "py_func", one))
+                package = f"{getattr(called, '__module__', '')}".partition(".")[0]
+                if isinstance(called, FunctionType) and package not in provenance.LIBRARIES:
+                    yield from _frozen((name, at), called, passed)
+                elif isinstance(one, ModuleType) and all(vars(one) is not s for s in scopes):
+                    scopes.append(vars(one))
+                elif isinstance(one, VALUES):
+                    yield name, at, _kept(one)
 
 
 def _written(function: FunctionType) -> tuple[Any, ...]:
