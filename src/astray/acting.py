@@ -9,6 +9,7 @@ for step in steps(policy, "maze", "anywhere", range(1000)):
 from __future__ import annotations
 
 import contextlib
+import copy
 import itertools
 import logging
 import time
@@ -170,14 +171,14 @@ def play(actor: Actor, stage: Stage[Taken], steps: int | None = None) -> Iterato
 
 
 class Asking:
-    """Actor that asks a policy, and stores the policy's memory of each episode."""
+    """Actor that asks a policy, which may write to what it is shown, and stores its memory."""
 
     def __init__(self, policy: Policy):
         self.policy, self.memory = policy, None
 
     def send(self, t: int, group: int, turn: Turn) -> None:
         memory = self.memory if turn.kept is None else rows(self.memory, turn.kept)
-        self._turn = turn._replace(memory=memory)
+        self._turn = turn._replace(memory=memory, observations=copy.deepcopy(turn.observations))
 
     def receive(self, group: int) -> Answer:
         answer = self.policy.actions(self._turn)  # not before: nobody may ask for the last turn's

@@ -80,6 +80,54 @@ def counted_once(step):
     return step.ended
 
 
+def writing(step):
+    """Return 1 a step, and spoil the step that it is given."""
+    step.seen[:], step.observations[:], step.ended[:] = 0, 0, True
+    rewards = step.rewards
+    rewards[:] = 1
+    return rewards
+
+
+class Writes:
+    """Goes at random, and spoils the observations that it is given."""
+
+    name, observation, art = Random.name, "symbolic", "own"
+
+    def actions(self, turn):
+        turn.observations[:] = 0
+        return Random().actions(turn)
+
+
+@pytest.mark.parametrize("game, variant", [(WORLD, "anywhere"), ("maze", "anywhere-small")])
+def test_a_reward_a_measure_or_a_policy_may_write_to_what_it_is_given(game, variant):
+    def at_last(states):
+        times = states["time"]
+        times[:] = -times
+        return times
+
+    def bright(step):
+        return step.observations.reshape(len(step.level), -1).sum(1)
+
+    def table(of_play, **rewards):
+        rewards = rewards | {"again": the_same, "bright": bright}
+        measures = {"negative": at_last, "steps": lambda states: states["time"]}
+        return evaluate(
+            of_play, game, variant, range(20), longest=9, measures=measures, rewards=rewards
+        )
+
+    spoilt, whole = table(Writes(), own=writing), table(Random(), own=lambda s: s.rewards * 0 + 1)
+    assert spoilt.equals(whole) and (whole["steps"] == whole["length"]).all()
+
+
+def test_training_goes_on_where_a_reward_writes_to_what_it_is_given():
+    told = [[step.metrics for step in iterate(ROOM, reward=one)] for one in (writing, each_step)]
+    assert told[0] == told[1]
+
+
+def each_step(step):
+    return np.ones(len(step.rewards))
+
+
 def test_rewards_stand_in_the_episodes_of_a_result():
     result = evaluate_policies([], WORLD, "end", range(9), rewards={"left": leftward})
     mine = result.episodes.filter(policy="walk to end")

@@ -69,11 +69,9 @@ class Function:
     def actions(self, turn: Turn) -> Answer:
         """Return an action per observation; raise ValueError if the function does not."""
         told = (turn.memory, turn.begins) if self.remembers else ()
-        seen = copy.deepcopy(turn.observations)  # the function may write to it
         with guarded(self.name, ValueError, ImportError):  # which say what is wrong
-            answer = self.choose(seen, *told)
-        if not self.remembers:
-            return Answer(checked_actions(self.name, answer, turn))
+            answer = self.choose(copy.deepcopy(turn.observations), *told)  # it may write to it
+        answer = answer if self.remembers else (answer, None)
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise ValueError(f"{self.name} must return actions and its memory; got {shown(answer)}")
         return Answer(checked_actions(self.name, answer[0], turn), answer[1])

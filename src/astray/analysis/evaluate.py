@@ -61,8 +61,8 @@ def evaluate(
         named = ", ".join(sorted(taken))
         raise ValueError(f"events or measures of {game.name} have the names of columns: {named}")
     check_measures(measures, (*COLUMNS, *game.events, *game.measures))
-    own_rewards: Any = rewards
-    check_measures(own_rewards, (*COLUMNS, *LATER, *game.events, *game.measures, *(measures or {})))
+    others = (*COLUMNS, *LATER, *game.events, *game.measures, *(measures or {}))
+    check_measures(rewards, others)  # pyright: ignore
     measured_by = {**game.of_states, **(measures or {})}
     count = count_levels(levels)
     names = list(levels) if isinstance(levels, Mapping) else [None] * count
@@ -112,7 +112,7 @@ def check_measures(measures: Mapping[str, Measure] | None, taken: Collection[str
 def measured(name: str, measure: Measure, states: np.ndarray) -> pl.Series:
     """Apply a measure to `states` [N]; raise ValueError unless it returns N values."""
     with guarded(f"the measure {name!r}", ValueError, ImportError):
-        values = measure(states)
+        values = measure(states.copy())  # it may write to them
     if np.shape(values) != (len(states),):
         raise ValueError(
             f"the measure {name!r} must return {len(states)} values, one of each state; got "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -54,7 +55,7 @@ def paid(reward: Reward, step: Step) -> np.ndarray:
         ValueError: If it is anything but n finite numbers.
     """
     with guarded(f"the reward {shown(reward)}", ValueError, ImportError):
-        given = reward(step)
+        given = reward(copy.deepcopy(step))  # it may write to it
     found, n = np.asarray(given), len(step.rewards)
     if found.shape != (n,) or found.dtype.kind not in "biuf" or not np.isfinite(found).all():
         raise ValueError(
