@@ -149,7 +149,7 @@ def printable(text: str) -> str:
 
 def slug(text: str) -> str:
     """Return the letters and digits of `text` as a part of a file's name, joined by dashes."""
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
+    return re.sub(r"[\W_]+", "-", text.lower()).strip("-")
 
 
 def brief(error: object) -> str:

@@ -115,6 +115,20 @@ def test_the_likeliest_actions_and_changed_knobs_are_audited(astray, tmp_path):
     assert longest["in the test"] == 4 < longest["in training"]
 
 
+def test_audits_of_several_checkpoints_and_of_names_in_any_script_have_folders_of_their_own(
+    tmp_path, monkeypatch
+):
+    studied = lambda study, size, root: study.name  # noqa: E731
+    monkeypatch.setattr("astray.experiments.audit.reproduce", studied)
+    monkeypatch.chdir(tmp_path)
+    runs = [Path(shutil.copytree(find("maze-corner"), name)) for name in ("мышь", "кот")]
+    last = latest(runs[0])
+    earlier, copied = (shutil.copytree(last, last.with_name(name)) for name in ("7", "best"))
+    names = [f"{audit(agent)}" for agent in (*runs, last, earlier, copied)]
+    assert names == [f"audit-{name}-corner-small" for name in (
+        "мышь", "кот", "мышь", "мышь-checkpoint-7", "мышь-checkpoint-best")]  # fmt: skip
+
+
 def test_environments_that_show_no_images_are_audited_without_videos(tmp_path):
     blind = replace(
         WORLD, variants={v: partial(blindly, place=v) for v in WORLD.variants}, name="blind"

@@ -35,7 +35,9 @@ def test_what_is_no_lab_is_left_alone(tmp_path):
     assert [path.name for path in (tmp_path / "lab").iterdir()] == ["mine.txt"]
 
 
-@pytest.mark.parametrize("name", ["notes.txt", ".git/config", "data/mine.json", "index.html"])
+@pytest.mark.parametrize(
+    "name", ["notes.txt", ".git/config", "data/mine.json", "index.html", labs.WRITTEN]
+)
 def test_a_lab_in_which_something_is_the_users_stays(tmp_path, name):
     labs.write([SCENE], tmp_path)
     mine = tmp_path / "lab" / name

@@ -23,7 +23,7 @@ from astray.game import Game
 from astray.record import LEVELS
 from astray.report.findings import Findings, Table
 from astray.training.config import Config
-from astray.training.folders import AgentFolder, name_of
+from astray.training.folders import AgentFolder, name_of, steps_saved
 from astray.validation import bounded, one_of, shown, slug
 from astray.world import World
 
@@ -140,8 +140,9 @@ def _opened(
     """Return the settings of an agent, a function that loads it, its path and its name."""
     if isinstance(agent, str | Path):
         found = AgentFolder.open(agent)
-        how = [*(["greedy"] if mode == "greedy" else []), *([art] if art else [])]
-        name = name_of(found.path) + (f" ({', '.join(how)})" if how else "")
+        its, last = found.weights.parent.name, max(steps_saved(found.path), default="")
+        parts = (f"checkpoint {its}" * (its != f"{last}"), "greedy" * (mode == "greedy"), art)
+        name = f"{name_of(found.path)} ({', '.join(filter(None, parts))})".removesuffix(" ()")
         load = cache(partial(load_agent, mode=mode, art=art))  # a training may remove it meanwhile
         return found.config(), load, found.weights.parent, name
     # Nobody knows what such a policy depends on: with a new path, no table of another is reused.

@@ -37,7 +37,7 @@ def write(scenes: Iterable[Scene], folder: Path) -> dict[Scene, str]:
     start = {"game": open_run(first.run)[0].game, "variant": first.variant, "level": 0}
     with folder_aside(to) as aside:  # a kill leaves none that could not be told from the user's
         export(Lab(Agents.of(runs), start | {"agent": str(first.run)}), aside, 1, list(names))
-        write_aside(aside / WRITTEN, json.dumps(_digests(aside)).encode())
+        write_aside(aside / WRITTEN, _digests(aside))
         aside.rename(to)
     told = json.loads(read(to / "data" / "index.json"))["games"]
     links = {}
@@ -60,20 +60,19 @@ def _make_room(to: Path) -> bool:
     """Remove an unchanged earlier lab; return whether a new one can be written."""
     if not os.path.lexists(to):
         return True
-    if to.is_symlink() or not (to / WRITTEN).is_file():
-        return False
-    if json.loads(read(to / WRITTEN)) != _digests(to):  # something of the user's is in it
-        return False
+    if to.is_symlink() or not (to / WRITTEN).is_file() or read(to / WRITTEN) != _digests(to):
+        return False  # something of the user's is in it
     shutil.rmtree(to, ignore_errors=True)
     return not to.exists()
 
 
-def _digests(to: Path) -> dict[str, str]:
-    """Return the digests of a lab's files by path, except for the file that holds them."""
-    return {
+def _digests(to: Path) -> bytes:
+    """Return the digests of a lab's files by path as JSON, without the file that holds them."""
+    digests = {
         path.relative_to(to).as_posix(): ""
         if path.is_symlink() or not path.is_file()
         else hashlib.sha256(read(path)).hexdigest()
         for path in sorted(to.rglob("*"))
         if path != to / WRITTEN and (path.is_symlink() or not path.is_dir())
     }
+    return json.dumps(digests).encode()
