@@ -1,6 +1,7 @@
 """Means with confidence intervals, and how they are written."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
@@ -37,8 +38,7 @@ class Estimate:
 
     def percent(self) -> str:
         """Format a fraction and its interval as percentages."""
-        mean, low, high = (f"{100 * x:.1f}" for x in (self.mean, self.low, self.high))
-        return f"{mean}\u00a0% ({self._interval(low, high)})" if self.rows else "none of none"
+        return self._told(lambda x: f"{100 * x:.1f}", "none of none", "\u00a0%")
 
     def short(self, digits: int | None = None) -> str:
         """Return a rate and its interval in figures, for a table that names the interval's kind.
@@ -52,23 +52,21 @@ class Estimate:
 
     def amount(self, digits: int = 3) -> str:
         """Format a number and its interval with the given number of digits."""
-        mean, low, high = (f"{x:.{digits}g}" for x in (self.mean, self.low, self.high))
-        return f"{mean} ({self._interval(low, high)})" if self.rows else "nothing to measure"
+        return self._told(lambda x: f"{x:.{digits}g}", "nothing to measure")
 
     def change(self) -> str:
         """Format a difference and its interval with their signs."""
-        mean, low, high = (f"{x:+.2f}" for x in (self.mean, self.low, self.high))
-        return f"{mean} ({self._interval(low, high)})" if self.rows else "nothing to compare"
+        return self._told(lambda x: f"{x:+.2f}", "nothing to compare")
 
     def over(self) -> str:
         """Describe what the interval is over: agents, levels, or both."""
         levels = f"{self.levels:,} levels"
-        if self.agents == 1:
-            told = f"{levels}, of this agent alone"
-        else:
-            told = f"{self.agents} agents" + (f" and {levels}" if self.levels > 1 else "")
+        both = f"{self.agents} agents" + (f" and {levels}" if self.levels > 1 else "")
+        told = f"{levels}, of this agent alone" if self.agents == 1 else both
         several = self.rows > self.agents * self.levels
         return told + (f", n = {self.rows:,}" if several else "")
 
-    def _interval(self, low: str, high: str) -> str:
-        return f"95\u00a0% interval {low} to {high}, over {self.over()}"
+    def _told(self, written: Callable[[float], str], nothing: str, unit: str = "") -> str:
+        mean, low, high = map(written, (self.mean, self.low, self.high))
+        told = f"{mean}{unit} (95\u00a0% interval {low} to {high}, over {self.over()})"
+        return told if self.rows else nothing

@@ -86,3 +86,19 @@ def test_nine_of_ten_is_not_enough():
     """An interval of another level than 95 % is noticed: the mean of all cells above is at it."""
     held = [covered(agents, HALF, LARGE, 0.0, 0) for agents in (2, 3, 5, 8, 10)]
     assert 0.94 <= np.mean(held) <= 0.965
+
+
+@pytest.mark.parametrize("levels", [2, 3, 5, 12])
+def test_few_levels_that_differ_are_covered_with_many_agents_too(levels):
+    random = np.random.default_rng(levels)
+    hard, agent = (
+        random.normal(0, 1, (2, TIMES, 1, levels)),
+        random.normal(0, 0.1, (2, TIMES, 8, 1)),
+    )
+    one, other = hard + agent + random.normal(0, 0.5, (2, TIMES, 8, levels))
+    means = [estimate_mean(values) for values in one]
+    apart = [estimate_difference(*both, same_levels=False) for both in zip(one, other, strict=True)]
+    for found in (means, apart):
+        assert np.mean([one.low <= 0 <= one.high for one in found]) >= (
+            0.9 if levels == 2 else 0.92
+        )

@@ -287,3 +287,21 @@ def test_what_is_detectable_is_found_in_four_of_five_runs(agents, kinds):
     error = np.sqrt(means.var(2, ddof=1).mean(1) * min(2, kinds) / agents)
     found = means[:, 0].mean(1) - (means[:, 1].mean(1) if kinds > 1 else 0)
     assert np.mean(found > quantile(kinds * (agents - 1)) * error) == pytest.approx(0.8, abs=0.03)
+
+
+def test_what_is_not_finite_has_no_interval():
+    """A rate had one from 0 to 1, and a NaN in the pool left out the spread of all kinds."""
+    plain = np.array([[True, False, True], [True, True, True]])
+    for wrong in (np.nan, np.inf, -np.inf):
+        spoilt = plain.astype(float)
+        spoilt[0, 1] = wrong
+        for found in (
+            estimate_mean(spoilt, rate=True),
+            estimate_mean(spoilt[:1]),
+            estimate_mean(plain, pool=[spoilt]),
+            estimate_difference(spoilt, plain),
+            estimate_difference(plain, plain, pool=[spoilt]),
+            estimate_paired(plain, spoilt),
+        ):
+            assert np.isnan([found.mean, found.low, found.high]).all(), (wrong, found)
+            assert found.rows == plain[: found.agents].size

@@ -6,8 +6,8 @@ agents. The interval is for the mean over all agents that the training could giv
 the variant. Its half-width has one part for each; their squares add up (Banerjee 1961):
 
     agents  Student's t with agents - 1 degrees of freedom, times the standard error of their means
-    levels  the normal quantile times the levels' fraction of the standard error, from the variance
-            component of a crossed design, as an analysis of variance estimates it
+    levels  Student's t (from 30 levels on the normal quantile) times the levels' fraction of the
+            standard error, from the variance component that an analysis of variance estimates
 
 With one agent, the interval is for this agent alone, over levels. Rates have Wilson's interval for
 the equivalent number of independent episodes, which stays within 0 and 1 and always has a width.
@@ -66,7 +66,7 @@ def estimate_mean(
     rate: bool | None = None,
     pool: Sequence[np.ndarray] = (),
 ) -> Estimate:
-    """Return the mean of `values` [agents, levels] with its 95 % interval.
+    """Return the mean of `values` [agents, levels] with a 95 % interval; NaN if one is not finite.
 
     Args:
         weights: [agents, levels], not negative. Each value is then a sum over that weight, and the
@@ -83,24 +83,19 @@ def estimate_mean(
     values, weights = _checked(values, weights)
     agents, levels = values.shape
     total = float(weights.sum())
-    if not total:
+    if not total or not all(np.isfinite(one).all() for one in (values, *pool)):
         return Estimate(math.nan, math.nan, math.nan, agents, levels, values.size)
     mean = float(values.sum() / total)
     if rate and abs(mean - 0.5) > 0.5 + 1e-9:  # sums are rounded
         raise ValueError(f"a rate must be from 0 to 1; the mean of these values is {mean:g}")
     rest = (values - mean * weights) * (values.size / total)  # deviations in units of the mean
     among = _among_levels(rest)
-    if agents == 1:
-        if rate:
-            among = float(rest.var()) / levels  # in units of p (1 - p), as Wilson's
-        between, freedom = 0.0, math.inf
-        of_levels = quantile(math.inf if rate or levels == 1 else levels - 1)
-    else:
-        between, freedom = _between_agents(rest, pool, mean if rate else None)
-        of_levels = quantile(math.inf)
-    widest = quantile(freedom) if agents > 1 else of_levels
-    if rate and levels == 1:  # one trial per agent: the mean determines the variance
-        widest = of_levels
+    if agents == 1 and rate:
+        among = float(rest.var()) / levels  # in units of p (1 - p), as Wilson's
+    between, freedom = _between_agents(rest, pool, mean if rate else None)
+    of_levels = _of_levels(agents, levels, rate)
+    one_trial = rate and levels == 1  # of each agent: the mean determines the variance
+    widest = of_levels if agents == 1 or one_trial else quantile(freedom)
     square = max(widest**2 * between + of_levels**2 * among, float(rest.var()) / rest.size)
     low, high = _ends(mean, square, rate, widest**2 / int(np.count_nonzero(weights)))
     known = _satterthwaite([(between, freedom), (among, levels - 1)])
@@ -130,14 +125,17 @@ def estimate_difference(
         raise ValueError(f"levels must be the same; got {levels[0]} and {levels[1]}")
     if same_levels and len(one) == len(other) == 1:
         return estimate_paired(one > 0, other > 0) if rate else estimate_paired(one, other)
+    agents, least = min(len(one), len(other)), min(levels)
+    if not all(np.isfinite(values).all() for values in (one, other, *pool)):
+        return Estimate(math.nan, math.nan, math.nan, agents, least, agents * least)
     means = [float(values.mean()) for values in kinds]
     rests = [values - mean for values, mean in zip(kinds, means, strict=True)]
     spreads = [
-        _between_agents(rest, pool, mean if rate else None) if len(rest) > 1 else (0.0, math.inf)
+        _between_agents(rest, pool, mean if rate else None)
         for rest, mean in zip(rests, means, strict=True)
     ]
     freedom = min(known for _, known in spreads) if pool else _satterthwaite(spreads)
-    normal, wide = quantile(math.inf), quantile(freedom)
+    wide, of_levels = quantile(freedom), [_of_levels(len(v), v.shape[1], rate) for v in kinds]
     if same_levels:
         noise = sum(_noise(rest) / rest.size for rest in rests)
         both = rests[0].mean(0) - rests[1].mean(0)
@@ -146,21 +144,21 @@ def estimate_difference(
     else:
         common, among = 0.0, [_among_levels(rest) for rest in rests]
     squares = [
-        max(wide**2 * between + normal**2 * levels, float(rest.var()) / rest.size)
-        for (between, _), levels, rest in zip(spreads, among, rests, strict=True)
+        max(wide**2 * between + (t * t) * levels, float(rest.var()) / rest.size)
+        for (between, _), levels, rest, t in zip(spreads, among, rests, of_levels, strict=True)
     ]
     (low, high), (its_low, its_high) = (
         _ends(mean, square, rate, wide**2 / rest.size)
         for mean, square, rest in zip(means, squares, rests, strict=True)
     )
     mean = means[0] - means[1]
-    below = math.hypot(means[0] - low, its_high - means[1], normal * math.sqrt(common))
-    above = math.hypot(high - means[0], means[1] - its_low, normal * math.sqrt(common))
+    of_common = max(of_levels) * math.sqrt(common)
+    below = math.hypot(means[0] - low, its_high - means[1], of_common)
+    above = math.hypot(high - means[0], means[1] - its_low, of_common)
     if rate:
         below, above = min(below, 1 + mean), min(above, 1 - mean)
     between = (sum(variance for variance, _ in spreads), freedom)
-    known = _satterthwaite([between, (common + sum(among), min(levels) - 1)])
-    agents, least = min(len(one), len(other)), min(levels)
+    known = _satterthwaite([between, (common + sum(among), least - 1)])
     return Estimate(mean, mean - below, mean + above, agents, least, agents * least, known)
 
 
@@ -253,6 +251,12 @@ def _is_rate(values: np.ndarray) -> bool:
     return np.asarray(values).dtype == bool
 
 
+def _of_levels(agents: int, levels: int, rate: bool) -> float:
+    """Return the quantile for the levels' part; of one agent's rate it is Wilson's."""
+    is_normal = levels == 1 or (rate if agents == 1 else levels >= 30)
+    return quantile(math.inf if is_normal else levels - 1)
+
+
 def _noise(rest: np.ndarray) -> float:
     """Return the variance that neither agents nor levels explain; 0 for one agent."""
     agents, levels = rest.shape
@@ -288,7 +292,8 @@ def _between_agents(
         rate = (rate * count + 1) / (count + 2)
         return rate * (1 - rate)
 
-    agents = len(rest)
+    if (agents := len(rest)) == 1:
+        return 0.0, math.inf
     variance, freedom = float(rest.mean(1).var(ddof=1)), agents - 1
     kinds = (np.atleast_2d(np.asarray(kind, float)) for kind in pool)
     if several := [kind for kind in kinds if len(kind) > 1]:
@@ -331,7 +336,6 @@ def _satterthwaite(parts: Sequence[tuple[float, float]]) -> float:
 
 def mean_of(rows: pl.DataFrame, value: str | pl.Expr) -> Estimate:
     """Return the mean of a column or expression over all of `rows`; NaN without rows."""
-    value = pl.col(value) if isinstance(value, str) else value
     named = rows.with_columns(all=pl.lit(0), value=value)
     if named["value"].drop_nulls().is_empty():
         return Estimate.nothing()

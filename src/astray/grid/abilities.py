@@ -152,11 +152,6 @@ def cells(world: World) -> Any:
     return SimpleNamespace(free=functools.partial(walkable, world), target=target)
 
 
-def reachable(world: World, s: Any) -> np.ndarray:
-    """Return the cells that the agent can reach, through hazards if need be, [H, W] bool."""
-    return distances(walkable(world, s), int(s.x), int(s.y)) != UNREACHABLE
-
-
 def walkable(world: World, s: Any) -> np.ndarray:
     """Return the cells that an agent can walk on, hazards too, [H, W] bool."""
     return ~np.isin(s.cell, world.codes(world.solid))
@@ -202,8 +197,9 @@ def solver(world: World) -> Any:
         return total
 
     def reached(s: Any) -> np.ndarray:
+        """Return the cells that the agent can reach, through hazards if need be, [H, W] bool."""
         world.check(s)
-        return reachable(world, s)
+        return distances(walkable(world, s), int(s.x), int(s.y)) != UNREACHABLE
 
     return SimpleNamespace(reachable=reached, expert=expert, optimal_return=optimal_return)
 
