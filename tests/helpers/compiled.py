@@ -4,13 +4,16 @@ Of two processes that compile a game one waits for the other, as would the worke
 """
 
 import numpy as np
+import torch
 
 from astray import games
+from astray.agents.mlp import MLP
 from astray.art import original
 from astray.envs.compiled import compiled_loop
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN
 from astray.training.fast import fused, sparse
+from astray.training.ppo import Samples
 
 
 def main() -> None:
@@ -27,8 +30,12 @@ def main() -> None:
         if game.mutation:
             seeds = np.zeros(1, np.uint32)
             game.mutation.mutate(env.get_state(), env.variant, seeds, 1, "constant")
-    fused.ensure_compiled()
-    sparse.ensure_compiled()
+    planes, one = torch.ones((1, 1, 1, 1), dtype=torch.uint8), torch.ones(1)
+    batch = Samples(planes, torch.zeros(1, dtype=torch.int64), one, one, one, one)
+    for between in (torch.float32, torch.bfloat16):
+        outputs = sparse.outputs(MLP((1, 1, 1), [1], 2), planes, between)
+        loss, _ = fused.Loss.apply(outputs, batch, (0.2, 0.5, 0.01))  # pyright: ignore
+        loss.backward()
 
 
 if __name__ == "__main__":

@@ -191,15 +191,14 @@ def test_a_folder_that_is_gone_or_never_was_is_none(tmp_path, code, monkeypatch)
     assert jit.code_folder() == str(code)
     shutil.rmtree(code)
     code.write_text("a file, where the folder was")
-    with pytest.warns(UserWarning, match="compiled code is not kept") as said, jit.one_at_a_time():
+    with pytest.warns(UserWarning, match="compiled code is not kept") as said:
         assert (before(3), jit.entry(twice)(3)) == (6, 6)
     assert len(said) == 1
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
     jit.code_folder.cache_clear()
     with pytest.warns(UserWarning, match="compiled code is not kept"):
         assert jit.code_folder() == ""
-    with jit.one_at_a_time():
-        assert jit.entry(twice)(3) == 6
+    assert jit.entry(twice)(3) == 6
 
 
 @COMPILED
@@ -207,8 +206,9 @@ def test_who_was_stopped_while_compiling_holds_nobody_up_for_ever(code, monkeypa
     monkeypatch.setattr(cache, "SILENT", 0.05)
     monkeypatch.setattr(cache, "PATIENT", 0.05)
     jit.code_folder()
-    with FileLock(code / "compile.lock"), jit.one_at_a_time():
+    with FileLock(code / "compile.lock"):  # of each function by itself
         assert jit.entry(twice)(3) == 6
+        assert jit.entry(twice)(3.0) == 6  # who keeps nothing waits for nobody
     assert [
         record.message.split(":")[0] for record in caplog.records if record.name == "astray"
     ] == [
@@ -228,7 +228,6 @@ def test_games_compile_at_once_and_one_game_once(monkeypatch):
         both.wait()
 
     monkeypatch.setattr(compiled, "_compile", compiling)
-    monkeypatch.setattr(compiled, "_compile_shared", lambda: None)
 
     def compile_both(*names):
         with ThreadPoolExecutor() as threads:

@@ -9,8 +9,6 @@ from astray.envs import loops
 from astray.envs.pool import alone
 from astray.game import OWN, Game, Looks
 from astray.imports import announced
-from astray.kernel import rng
-from astray.kernel.grid import distances
 from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
 from astray.validation import shown
 
@@ -55,18 +53,7 @@ def _compiled(game: Game, art: str) -> Callable:
         raise ValueError(
             f"the code of the game {game.name!r} fails: {shown(error, 300)}"
         ) from error
-    _compile_shared()
     return run
-
-
-@functools.cache
-def _compile_shared() -> None:
-    """Compile the functions that all games call from Python, or load them from the cache."""
-    with one_at_a_time():
-        numbers, table = np.empty(0, np.int64), np.empty((0, 1), np.int64)
-        loops.fill(table, table, numbers, np.empty(0, bool))
-        distances(np.ones((1, 1), bool), 0, 0)
-        rng.fill_noise(0, numbers, numbers, np.empty((0, 1), np.float32))
 
 
 def _compile(game: Game, looks: Looks, run: Callable) -> None:

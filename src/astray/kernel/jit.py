@@ -190,7 +190,10 @@ def passing(function: Callable) -> Any:
 
 
 def entry(function: Any) -> Any:
-    """Decorate a function that Python calls; only these are cached in files."""
+    """Decorate a function that Python calls; only these are cached in files.
+
+    They are compiled one at a time, but for those of one game, whose batch loop has its own lock.
+    """
     provenance.see(function)
     compiled, digest = passing(function), code_digest(function)
 
@@ -208,6 +211,8 @@ def entry(function: Any) -> Any:
 
     if compiled is not function and digest and Path(function.__code__.co_filename).is_file():
         compiled._cache = Stored(function, digest, folder)
+        if not hasattr(function, "bound"):
+            compiled._compile_for_args = one_at_a_time()(compiled._compile_for_args)
     return compiled
 
 
@@ -244,9 +249,8 @@ def one_at_a_time(label: str = "") -> Iterator[None]:
         else:
             tell(what)
 
-    with held(code_folder(), f"compile-{label}.lock" if label else LOCK) as is_held:
-        if not is_held:
-            Stored.writes = False
+    name = f"compile-{label}.lock" if label else LOCK
+    with held(code_folder() if Stored.writes else "", name) as Stored.writes:
         interruptible = threading.current_thread() is threading.main_thread()
         if interruptible:  # no other thread gets Ctrl+C, and one hook is for all
             sys.unraisablehook = note

@@ -11,7 +11,7 @@ from astray.games.heist.levels import truths
 from astray.games.heist.rules import COLOURS, DOOR_CODE, GEM, KEY, REWARD, STATE, step
 from astray.games.heist.variants import GOALS
 from astray.kernel.grid import STAY, UNREACHABLE, distances
-from astray.kernel.jit import entry, kernel, one_at_a_time
+from astray.kernel.jit import entry, kernel
 from astray.kernel.maze import WALL
 from astray.kernel.thief import grid, press, towards
 from astray.record import NEVER, check_record
@@ -99,7 +99,6 @@ def expert(s: Any, goal: str) -> Callable[[Any], int]:
     It stays if the goal was reached or is unreachable.
     """
     check(s)
-    _compile()
     steps, event = steps_to(s, goal), GOALS[goal]
 
     def action(now: Any) -> int:
@@ -120,7 +119,6 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
     """
     finite("gamma", gamma, 0, 1)
     check(s)
-    _compile()
     now = np.zeros(1, STATE).view(np.recarray)
     now[0] = s
     time = walk(now[0], steps_to(s, goal), GOALS[goal] == "reached_gem")
@@ -141,15 +139,3 @@ def reachable(s: Any) -> np.ndarray:
         before = hand
         for k in range(len(COLOURS)):
             hand |= int((found & (cells == KEY + k)).any()) << k
-
-
-@functools.cache
-def _compile() -> None:
-    """Compile the functions that Python calls, or load them from the cache."""
-    s = np.zeros(1, STATE).view(np.recarray)[0]
-    s.world, s.ended = 1, True
-    with one_at_a_time():
-        distances(np.ones((1, 1), np.bool_), 0, 0)
-        steps = layers(np.zeros((1, 1), np.uint8), NEVER)
-        towards(s, steps[0])
-        walk(s, steps, True)

@@ -12,7 +12,7 @@ from astray.games.keys.rules import CHEST, CHEST_X, CHEST_Y, KEY, KEY_X, KEY_Y, 
 from astray.games.keys.variants import GOALS
 from astray.kernel import maze
 from astray.kernel.grid import STAY, UNREACHABLE, distances
-from astray.kernel.jit import entry, one_at_a_time, shared
+from astray.kernel.jit import entry, shared
 from astray.kernel.maze import WALL
 from astray.kernel.thief import F, move, press, touches, towards
 from astray.record import NEVER, check_record
@@ -161,7 +161,6 @@ class Planner:
     def __init__(self, s: Any, goal: str, gamma: float):
         one_of("goal", goal, GOALS)
         check(s)
-        _compile()
         self.goal, self.gamma = goal, gamma
         self._order: list[int] = []  # as planned, also what of it is gone
         self._gone: set[int] = set()  # what was gone then
@@ -277,17 +276,3 @@ def reachable(s: Any) -> np.ndarray:
     """Return the cells that the thief can walk to, [world, world] bool."""
     check(s)
     return maze.reachable(s)
-
-
-@functools.cache
-def _compile() -> None:
-    """Compile the functions called from Python, or load them from the cache."""
-    s = np.zeros(1, STATE).view(np.recarray)[0]
-    s.world, s.ended = 1, True
-    steps, none = np.zeros((1, 1), np.int64), np.zeros(0, np.int64)
-    with one_at_a_time():
-        distances(steps == 0, 0, 0)
-        towards(s, steps)
-        times, met = tables(s, none, np.zeros((0, 1, 1), np.int64))
-        best_order(times, met, none == 0, 0, 0, 1.0, 1.0, 1.0, 1.0)
-        leg(s, steps, 1.0, 0)

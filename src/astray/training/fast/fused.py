@@ -3,7 +3,6 @@
 For 1,024 samples of 15 actions it takes 0.23 ms; torch takes 0.55 ms for some 60 operations.
 """
 
-import functools
 import math
 from typing import Any
 
@@ -12,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from astray.kernel.jit import entry, one_at_a_time
+from astray.kernel.jit import entry
 from astray.training.ppo import Samples
 
 PARTS = ("policy_loss", "value_loss", "entropy", "approx_kl", "clip_fraction")
@@ -27,21 +26,12 @@ class Loss(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         """Compute the loss; `weights` are the clip range and the value and entropy weights."""
         grad, parts = torch.empty_like(outputs), torch.zeros(len(PARTS), dtype=torch.float64)
-        ensure_compiled()
-        shapes = {tuple(x.shape) for name, x in vars(minibatch).items() if name != "observation"}
+        samples = [x for name, x in vars(minibatch).items() if name != "observation"]
+        shapes = {tuple(x.shape) for x in samples}
         if shapes != {(len(outputs),)}:
             raise ValueError(f"samples must be [{len(outputs)}], as outputs are; got {shapes}")
-        evaluate(
-            outputs.detach().numpy(),
-            minibatch.action.numpy(),
-            minibatch.log_probability.numpy(),
-            minibatch.value.numpy(),
-            minibatch.advantage.numpy(),
-            minibatch.target.numpy(),
-            *weights,
-            grad.numpy(),
-            parts.numpy(),
-        )
+        arrays = [x.detach().numpy() for x in (outputs, *samples)]
+        evaluate(*arrays, *weights, grad.numpy(), parts.numpy())
         policy, value, entropy = parts[:3]
         loss = policy + weights[1] * value - weights[2] * entropy
         ctx.save_for_backward(grad)
@@ -53,26 +43,6 @@ class Loss(torch.autograd.Function):
     def backward(ctx: Any, of_loss: Tensor, of_parts: Any) -> tuple[Tensor, None, None]:  # pyright: ignore
         (grad,) = ctx.saved_tensors
         return grad * of_loss, None, None
-
-
-@functools.cache
-def ensure_compiled() -> None:
-    """Compile the kernel for its later argument types, or load it from the cache."""
-    table, column = np.empty((0, 2), np.float32), np.empty(0, np.float32)
-    with one_at_a_time():
-        evaluate(
-            table,
-            np.empty(0, np.int64),
-            column,
-            column,
-            column,
-            column,
-            0.2,
-            0.5,
-            0.01,
-            table,
-            np.zeros(len(PARTS)),
-        )
 
 
 @entry

@@ -3,7 +3,6 @@
 About 33 of Maze's 294 inputs are nonzero, so its first layer is a sum of 33 rows of weights.
 """
 
-import functools
 from typing import Any
 
 import numba
@@ -15,7 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from astray.agents.mlp import MLP, CircleEmbedding
-from astray.kernel.jit import entry, one_at_a_time
+from astray.kernel.jit import entry
 
 TOGETHER = 4  # rows of weights added at once, so that the sum is read and written less often
 
@@ -109,22 +108,8 @@ def _found(planes: Tensor, spread: CircleEmbedding) -> tuple[np.ndarray, np.ndar
     most = 2 * np.count_nonzero(given) + TOGETHER * len(given)
     ends = np.empty(len(given) + 1, np.int64)
     rows, values = np.empty(most, np.int64), np.empty(most, np.float32)
-    ensure_compiled()
     find(given, spread.flags, spread.circle.numpy(), ends, rows, values)
     return ends, rows, values
-
-
-@functools.cache
-def ensure_compiled() -> None:
-    """Compile the kernels for their later argument types, or load them from the cache."""
-    with one_at_a_time():
-        ends, rows = np.zeros(1, np.int64), np.empty(0, np.int64)
-        values, table = np.empty(0, np.float32), np.empty((0, 1), np.float32)
-        find(np.empty((0, 1, 1), np.uint8), 0, np.empty((2, 256), np.float32), ends, rows, values)
-        for hidden in (table, np.empty((0, 1), np.int16)):
-            add_rows(ends, rows, values, table, values, hidden)
-            pass_relu(table, table, hidden)
-            add_to_rows(ends, rows, values, hidden, hidden, table, values)
 
 
 @entry
