@@ -1,5 +1,7 @@
 """Base classes of astray's networks: linear policy and value heads on one hidden layer."""
 
+from collections import OrderedDict
+
 import torch
 from torch import Tensor, nn
 
@@ -49,6 +51,16 @@ class Pixels(ActorCritic):
     def see(self, planes: Tensor) -> Tensor:
         """Map planes [B, C, H, W] in 0 to 1 to [B, D, h, w]."""
         raise NotImplementedError
+
+
+def dense(inputs: int, *widths: int) -> nn.Sequential:
+    """Build dense layers with ReLUs on flat inputs: linear and relu, with numbers if several."""
+    layers: OrderedDict[str, nn.Module] = OrderedDict(flatten=nn.Flatten())
+    for k, width in enumerate(widths, 1):
+        number = k if len(widths) > 1 else ""
+        layers |= {f"linear{number}": nn.Linear(inputs, width), f"relu{number}": nn.ReLU()}
+        inputs = width
+    return nn.Sequential(layers)
 
 
 @torch.no_grad()

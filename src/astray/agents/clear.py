@@ -14,7 +14,7 @@ from collections import OrderedDict
 import torch
 from torch import Tensor, nn
 
-from astray.agents.actor_critic import Pixels
+from astray.agents.actor_critic import Pixels, dense
 
 BLOCKS = ((16,), (32, 32), (32,), (32,))  # channels of the convolutions before each pool
 FIRST, LATER = 7, 5  # pixels a side of the kernels: of the first convolution, of all others
@@ -53,15 +53,7 @@ class Clear(Pixels):
         self.block1, self.block2, self.block3, self.block4 = map(block, inputs, kernels, BLOCKS)
         for _ in BLOCKS:
             height, width = (height + 1) // 2, (width + 1) // 2
-        self.features = nn.Sequential(
-            OrderedDict(
-                flatten=nn.Flatten(),
-                linear1=nn.Linear(BLOCKS[-1][-1] * height * width, HIDDEN[0]),
-                relu1=nn.ReLU(),
-                linear2=nn.Linear(*HIDDEN),
-                relu2=nn.ReLU(),
-            )
-        )
+        self.features = dense(BLOCKS[-1][-1] * height * width, *HIDDEN)
         self.add_heads(HIDDEN[1], actions)
 
     def see(self, planes: Tensor) -> Tensor:

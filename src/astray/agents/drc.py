@@ -12,7 +12,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from astray.agents.actor_critic import initialise
+from astray.agents.actor_critic import dense, initialise
 from astray.agents.mlp import CircleEmbedding
 from astray.agents.recurrent import Recurrent
 
@@ -106,13 +106,7 @@ class DRC(Recurrent):
         edge[:, :, 1:-1, 1:-1] = 0
         self.edge: Tensor
         self.register_buffer("edge", edge, persistent=False)
-        self.features = nn.Sequential(
-            OrderedDict(
-                flatten=nn.Flatten(),
-                linear=nn.Linear(2 * channels * places, features),
-                relu=nn.ReLU(),
-            )
-        )
+        self.features = dense(2 * channels * places, features)
         self.policy = nn.Linear(features, actions)
         self.value = nn.Linear(features, 1)
         initialise(self)

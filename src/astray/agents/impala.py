@@ -9,7 +9,7 @@ from collections import OrderedDict
 import torch
 from torch import Tensor, nn
 
-from astray.agents.actor_critic import Pixels
+from astray.agents.actor_critic import Pixels, dense
 
 WIDTHS = (16, 32, 32)  # channels of the three blocks, at scale 1
 FEATURES = 256
@@ -88,14 +88,9 @@ class Impala(Pixels):
         self.block3 = block(widths[1], widths[2], same, rectified)
         for _ in widths:  # each block's pooling halves the picture, rounding up
             height, width = (height + 1) // 2, (width + 1) // 2
-        self.features = nn.Sequential(
-            OrderedDict(
-                relu_in=nn.Identity() if rectified else nn.ReLU(),
-                flatten=nn.Flatten(),
-                linear=nn.Linear(widths[2] * height * width, FEATURES),
-                relu=nn.ReLU(),
-            )
-        )
+        layers = dense(widths[2] * height * width, FEATURES).named_children()
+        begin = nn.Identity() if rectified else nn.ReLU()
+        self.features = nn.Sequential(OrderedDict([("relu_in", begin), *layers]))
         self.add_heads(FEATURES, actions)
 
     def see(self, planes: Tensor) -> Tensor:

@@ -1,13 +1,12 @@
 """A perceptron with two hidden layers for symbolic observations, which a CPU trains in minutes."""
 
 import math
-from collections import OrderedDict
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from astray.agents.actor_critic import ActorCritic
+from astray.agents.actor_critic import ActorCritic, dense
 
 
 class CircleEmbedding(nn.Module):
@@ -60,15 +59,7 @@ class MLP(ActorCritic):
         self.spread = CircleEmbedding(largest) if largest else nn.Identity()
         channels = self.spread.channels if isinstance(self.spread, CircleEmbedding) else shape[0]
         self.inputs = channels * math.prod(shape[1:])
-        self.features = nn.Sequential(
-            OrderedDict(
-                flatten=nn.Flatten(),
-                linear1=nn.Linear(self.inputs, width),
-                relu1=nn.ReLU(),
-                linear2=nn.Linear(width, width),
-                relu2=nn.ReLU(),
-            )
-        )
+        self.features = dense(self.inputs, width, width)
         self.add_heads(width, actions)
 
     def hidden(self, observations: Tensor) -> Tensor:

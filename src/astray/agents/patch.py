@@ -10,7 +10,7 @@ from collections import OrderedDict
 import torch
 from torch import Tensor, nn
 
-from astray.agents.actor_critic import Pixels
+from astray.agents.actor_critic import Pixels, dense
 from astray.agents.impala import Residual, block
 
 
@@ -30,9 +30,7 @@ class Convolutions(Pixels):
         height, width, channels = shape
         with torch.no_grad():
             inputs = self.body(torch.zeros(1, channels, height, width)).numel()
-        self.features = nn.Sequential(
-            OrderedDict(flatten=nn.Flatten(), linear=nn.Linear(inputs, features), relu=nn.ReLU())
-        )
+        self.features = dense(inputs, features)
         self.add_heads(features, actions)
 
     def see(self, planes: Tensor) -> Tensor:
