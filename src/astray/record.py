@@ -16,8 +16,8 @@ LEVELS = range(2**31 - 1)  # all level numbers, as in the original
 _TRUSTED: WeakValueDictionary[int, np.ndarray] = WeakValueDictionary()  # by their id
 
 
-def state_dtype(*own: tuple) -> np.dtype:
-    """Return the dtype of a game's states: the common fields, then the game's `own` fields.
+def state_dtype(*own: tuple, events: Sequence[str] = ()) -> np.dtype:
+    """Return the dtype of a game's states: the common fields, the game's `own`, and its events.
 
     A record can be copied, compared, saved and edited as a whole. With `np.record`, `s.x` works in
     compiled and interpreted code alike.
@@ -32,7 +32,7 @@ def state_dtype(*own: tuple) -> np.dtype:
         ("turn", np.int64),  # episodes begun
         *RNG_FIELDS,
     ]
-    return record_dtype([*common, *own])
+    return record_dtype([*common, *own, *((event, np.int64) for event in events)])
 
 
 def record_dtype(columns: list[tuple]) -> np.dtype:

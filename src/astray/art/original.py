@@ -211,24 +211,29 @@ def _read_all(source: Path, read: Callable[[Picture], bytes | None]) -> dict[str
     return found
 
 
+def from_above(variant: Any, pixels: int) -> tuple[int, ...]:
+    """Return the shape of a scene with objects, and without below; a window has none."""
+    return (1, 1, 3) if variant.window else (2 * pixels, pixels, 3)
+
+
 def looks(
-    background: Callable, foreground: Callable, pictures: Sequence[str], *tables: np.ndarray
-) -> dict[str, Looks]:
-    """Return the looks "original" and "original-5.12" of a game with a scene from above.
+    background: Callable, foreground: Callable, pictures: Sequence[str], *tables: np.ndarray,
+    backgrounds: int = len(FLOORS), scene_shape: Callable = from_above,
+) -> dict[str, Looks]:  # fmt: skip
+    """Return the looks "original" and "original-5.12" of a game.
 
     Args:
         background: As of `Looks`.
         foreground: As of `Looks`.
-        pictures: Paths of pictures after the floors.
+        pictures: Paths of pictures, backgrounds first.
         tables: Further arrays of the art, after pixels, places and rule.
+        backgrounds: Number of the backgrounds.
+        scene_shape: As of `Looks`.
     """
 
     @functools.cache
     def art(rule: int) -> tuple[np.ndarray, ...]:
-        return *atlas((*FLOORS, *pictures), len(FLOORS)), np.array([rule]), *tables
-
-    def scene_shape(variant: Any, pixels: int) -> tuple[int, ...]:
-        return (1, 1, 3) if variant.window else (2 * pixels, pixels, 3)  # with objects, and without
+        return *atlas(pictures, backgrounds), np.array([rule]), *tables
 
     return {
         name: Looks(

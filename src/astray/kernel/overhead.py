@@ -1,4 +1,4 @@
-"""Mazes with a thief, drawn from above as the original draws them, pixel by pixel.
+"""Mazes, most with a thief, drawn from above as the original draws them, pixel by pixel.
 
 Art consists of `pixels`, `places` and the `rule` of `kernel.cells`, and, by the code in `what`, the
 picture and half the width and height of each object in cells. The first pictures are the floors,
@@ -24,10 +24,26 @@ TURNS = np.array([3, -4, -3, 2, 0, -2, 1, 0, -1])
 
 @kernel
 def looking(s, side):
-    """Return the camera for the whole world, or for the window around the thief."""
+    """Return the camera for the whole world, or for the window around the agent."""
     if s.window:
-        return camera(side, s.window, s.x, s.y)
+        return camera(side, s.window, F(s.x), F(s.y))
     return camera(side, s.world, F(s.world) * F(0.5), F(s.world) * F(0.5))
+
+
+@kernel
+def visible(s):
+    """Return the visible cells, whose first column and row in the world come first, with walls."""
+    left, low, columns, rows = np.int64(0), np.int64(0), s.world, s.world
+    if s.window:
+        x, y, half = F(s.x), F(s.y), F(s.window) / F(2) + F(1)
+        left, low = int(x - half), int(y - half)
+        columns, rows = int(x + half) - left + 1, int(y + half) - low + 1
+    cells = np.full((rows, columns), OPEN)
+    for j in range(rows):
+        for i in range(columns):
+            if is_wall(s, left + i, low + j):
+                cells[j, i] = WALL_PLACE
+    return left, low, cells
 
 
 @shared
@@ -43,16 +59,7 @@ def background(s, art, scene):
 def paint_walls(s, art, image):
     """Draw floor and walls of the whole world or of the window around the thief."""
     pixels, places, rule, _, _ = art
-    left, low, columns, rows = np.int64(0), np.int64(0), s.world, s.world
-    if s.window:
-        half = F(s.window) / F(2) + F(1)
-        left, low = int(s.x - half), int(s.y - half)
-        columns, rows = int(s.x + half) - left + 1, int(s.y + half) - low + 1
-    cells = np.full((rows, columns), OPEN)
-    for j in range(rows):
-        for i in range(columns):
-            if is_wall(s, left + i, low + j):
-                cells[j, i] = WALL_PLACE
+    left, low, cells = visible(s)
     background, seen = (s.background, s.background_offset), looking(s, image.shape[0])
     paint_cells(image, pixels, places, cells, seen, left, low, s.world, background, rule[0])
 

@@ -1,7 +1,6 @@
 """The thief of several games: its motion through mazes and doors, its walking, and its levels.
 
-States have the fields that `kernel.maze` needs; x, y, vx, vy and facing of the thief; and for each
-of `objects` objects what, object_x, object_y and gone, the step in which it disappeared, or NEVER.
+States begin with `fields`, and have the look of their floor.
 """
 
 from typing import Any
@@ -29,6 +28,23 @@ KEY_WIDE = F(0.375)  # half the width of a key, cells
 KEY_HIGH = KEY_WIDE / KEY_ASPECT
 JITTER = F(0.25)  # cells: things are up to half of it off their cells' centres
 SLACK = float(F(0.5) - HALF)  # cells that the thief may be off the middle of a corridor
+
+
+def fields(largest: int, most: int) -> tuple[tuple, ...]:
+    """Return the first fields of states, of up to `largest` cells a side and `most` objects."""
+    return (
+        ("cell", np.uint8, (largest, largest)),  # 0 or WALL at [y, x]; world is [:world, :world]
+        ("world", np.int64),  # cells a side
+        ("maze_size", np.int64),  # cells a side of the maze, somewhere in the world
+        ("window", np.int64),  # cells a side of the window around the thief; 0: the whole world
+        ("x", np.float32), ("y", np.float32),  # the thief's centre, in cells
+        ("vx", np.float32), ("vy", np.float32),  # cells per step
+        ("facing", np.int64),  # the last action that moved, or STAY
+        ("objects", np.int64),  # how many the level began with; by columns, each from below
+        ("what", np.uint8, (most,)),  # codes, as in a level's cells
+        ("object_x", np.float32, (most,)), ("object_y", np.float32, (most,)),  # centres, in cells
+        ("gone", np.int64, (most,)),  # the step that each was taken or opened, or NEVER
+    )  # fmt: skip
 
 
 @kernel

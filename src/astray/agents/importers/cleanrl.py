@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from astray.agents.importers import pth
-from astray.agents.importers.imported import Imported, Plain, impala
+from astray.agents.importers.imported import Imported, Plain, impala, turned
 from astray.validation import shown
 
 ZIP = b"PK"  # with which files of torch begin
@@ -95,10 +95,8 @@ def _tensors(modules: Mapping[str, Any]) -> Iterator[tuple[str, Tensor]]:
                 raise ValueError(f"it has {'/'.join(path)}, which cleanba's network does not")
             if path[-1] == "bias":
                 yield f"{layer}.bias", torch.from_numpy(array.copy())
-            elif array.ndim == 4:
-                yield f"{layer}.weight", torch.from_numpy(array.transpose(3, 2, 0, 1).copy())
-            else:
-                yield f"{layer}.weight", torch.from_numpy(_dense(array, number).copy())
+            else:  # after three halvings, a picture is 8 x 8
+                yield f"{layer}.weight", turned(array, 8 if number == "0" else 0)
 
 
 def leaves(tree: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
@@ -124,18 +122,6 @@ def _layer(module: str, path: tuple[str, ...]) -> str | None:
         return None
     unit = "conv" if found[2] is None else f"residual{int(found[2]) + 1}.conv{int(found[3]) + 1}"
     return f"block{int(found[1]) + 1}.{unit}"
-
-
-def _dense(kernel: np.ndarray, module: str) -> np.ndarray:
-    """Return a dense kernel as [out, in], with inputs ordered by channels first."""
-    if kernel.ndim != 2:
-        raise ValueError(
-            f"the kernel of a dense layer must be [inputs, outputs]; got {kernel.shape}"
-        )
-    if module == "0" and len(kernel) % 64 == 0:  # after three halvings, a picture is 8 x 8
-        pixels = kernel.reshape(8, 8, len(kernel) // 64, kernel.shape[1])
-        kernel = pixels.transpose(2, 0, 1, 3).reshape(kernel.shape)
-    return kernel.T
 
 
 def _world(name: Any) -> tuple[str, str] | None:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -89,6 +90,29 @@ def impala(
     called = "IMPALA+gru" if kind.endswith("+gru") else "IMPALA"
     about = f"{program}: {called}, channels {'/'.join(map(str, widths))}{note}"
     return of_procgen(kind, tensors, about, *more, widths=widths)
+
+
+def turned(kernel: np.ndarray, side: int = 0) -> Tensor:
+    """Return a kernel of Flax or TensorFlow in torch's layout: [out, in, ...].
+
+    Args:
+        kernel: [height, width, in, out], or of a dense layer [in, out].
+        side: Pixels a side of a picture that a dense layer sees, ordered by rows, columns, channels
+            there and by channels first here; 0 for other inputs.
+
+    Raises:
+        ValueError: If it has another number of axes.
+    """
+    if kernel.ndim == 4:
+        return torch.from_numpy(kernel.transpose(3, 2, 0, 1).copy())
+    if kernel.ndim != 2:
+        raise ValueError(
+            f"the kernel of a dense layer must be [inputs, outputs]; got {kernel.shape}"
+        )
+    if side and len(kernel) % side**2 == 0:
+        pixels = kernel.reshape(side, side, len(kernel) // side**2, kernel.shape[1])
+        kernel = pixels.transpose(2, 0, 1, 3).reshape(kernel.shape)
+    return torch.from_numpy(kernel.T.copy())
 
 
 def rename(name: str, names: Iterable[tuple[Any, Any]]) -> str:

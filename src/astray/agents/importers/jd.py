@@ -5,6 +5,7 @@ in Baselines' ppo2). The network divides images by 255, as `clear_cnn` of tensor
 and actions are sampled from the policy.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from torch import Tensor
 
 from astray.agents.clear import BLOCKS
 from astray.agents.importers import plain
-from astray.agents.importers.imported import Imported, Plain, of_procgen
+from astray.agents.importers.imported import Imported, Plain, of_procgen, turned
 from astray.validation import shown
 
 SCOPE = "ppo2_model/"
@@ -72,22 +73,7 @@ def _weights(params: dict[Any, Any]) -> dict[str, Tensor]:
         if part in ("bias", "b"):
             weights[f"{renamed}.bias"] = torch.from_numpy(array)
         else:
-            weights[f"{renamed}.weight"] = torch.from_numpy(_turned(layer, array))
+            seen = array.shape[0] if layer == "pi/dense" and array.ndim else 0  # as 4 x 4 x 32
+            side = math.isqrt(seen // BLOCKS[-1][-1])
+            weights[f"{renamed}.weight"] = turned(array, side)
     return weights
-
-
-def _turned(layer: str, kernel: np.ndarray) -> np.ndarray:
-    """Return a kernel with inputs last: [out, in], or [out, in, height, width]."""
-    if layer in CONVOLUTIONS:
-        if kernel.ndim != 4:
-            raise ValueError(f"{layer} is not a convolution: its kernel is {kernel.shape}")
-        return np.ascontiguousarray(kernel.transpose(3, 2, 0, 1))
-    if kernel.ndim != 2:
-        raise ValueError(f"the kernel of {layer} must be [inputs, outputs]; got {kernel.shape}")
-    channels = BLOCKS[-1][-1]
-    side = round((len(kernel) // channels) ** 0.5)
-    if layer == "pi/dense" and side * side * channels == len(kernel):
-        # It sees rows, columns, channels; ours channels first. Of a picture 4 x 4 x 32.
-        pixels = kernel.reshape(side, side, channels, kernel.shape[1])
-        kernel = pixels.transpose(2, 0, 1, 3).reshape(kernel.shape)
-    return np.ascontiguousarray(kernel.T)

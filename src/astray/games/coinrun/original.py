@@ -1,11 +1,8 @@
 """CoinRun with the original's pictures, exact in every pixel."""
 
-import functools
-
 import numpy as np
 
 from astray.art import original
-from astray.game import Looks, Variant
 from astray.games.coinrun.draw import PERIOD, VIEW
 from astray.games.coinrun.levels import BACKGROUNDS, CRATES
 from astray.games.coinrun.rules import (
@@ -26,7 +23,7 @@ from astray.games.coinrun.rules import (
 )
 from astray.kernel.cells import OPEN, paint_cells
 from astray.kernel.jit import kernel, shared
-from astray.kernel.qt import GENERIC, SPRITE, around, blit, blit_faded, camera
+from astray.kernel.qt import around, blit, blit_faded, camera
 
 SEEN = F(VIEW) / F(2) + F(1)  # cells from the runner to the last that are looked at
 PLAYERS = ("Beige", "Blue", "Green", "Pink", "Yellow")
@@ -202,21 +199,6 @@ def draw_walkers(s, pixels, places, seen, image):
             blit(image, pixels, places[place], rect, s.time > 0 and s.walker_vx[k] > 0)
 
 
-def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
-    return (1, 1, 3)
-
-
-def art(rule: int, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
-    """Return pixels [N] and places [K, 3] of all pictures, and the rule [1]."""
-    return _art(rule)
-
-
-@functools.cache
-def _art(rule: int) -> tuple[np.ndarray, ...]:
-    return *original.atlas(PICTURES, BACKGROUNDS), np.array([rule])
-
-
-LOOKS = {
-    name: Looks("original", background, foreground, functools.partial(art, rule), scene_shape)
-    for name, rule in {"original": GENERIC, "original-5.12": SPRITE}.items()
-}
+LOOKS = original.looks(
+    background, foreground, PICTURES, backgrounds=BACKGROUNDS, scene_shape=lambda *_: (1, 1, 3)
+)

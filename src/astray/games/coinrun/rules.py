@@ -37,6 +37,10 @@ STROLL = F(0.15)  # a walker's speed, cells per step
 TURN = F(0.01)  # below this speed, in cells per step, the runner looks as if it stood
 TIES = 1_000_000  # the original's draw each step, of which parity alone matters
 
+EVENTS = (
+    "took_coin", "took_invisible", "passed_coin", "reached_end", "touched_wall", "passed_wall",
+    "died", "met_saw", "met_walker", "met_lava", "timed_out",
+)  # fmt: skip
 STATE = state_dtype(
     ("cell", np.uint8, (WORLD, WORLD)),  # at [y, x]
     ("thing", np.uint8, (WORLD, WORLD)),  # crates and saws
@@ -57,14 +61,7 @@ STATE = state_dtype(
     ("continues", np.bool_),  # after the coin
     ("runner_look", np.int64), ("ground", np.int64), ("background", np.int64),
     ("background_offset", np.float64),  # from 0 to 1: which part of it is seen
-    ("took_coin", np.int64), ("took_invisible", np.int64), ("passed_coin", np.int64),
-    ("reached_end", np.int64), ("touched_wall", np.int64), ("passed_wall", np.int64),
-    ("died", np.int64), ("met_saw", np.int64), ("met_walker", np.int64), ("met_lava", np.int64),
-    ("timed_out", np.int64),
-)  # fmt: skip
-EVENTS = (
-    "took_coin", "took_invisible", "passed_coin", "reached_end", "touched_wall", "passed_wall",
-    "died", "met_saw", "met_walker", "met_lava", "timed_out",
+    events=EVENTS,
 )  # fmt: skip
 STAND, WALK = 0, 1
 

@@ -16,6 +16,7 @@ from astray.kernel.overhead import (
 from astray.kernel.thief import KEY_HIGH, KEY_WIDE
 
 PICTURES = (
+    *original.FLOORS,
     "kenney/Ground/Dirt/dirtCenter.png",
     "misc_assets/spaceAstronauts_008.png",
     *(f"misc_assets/key{colour.title()}.png" for colour in COLOURS),

@@ -5,7 +5,7 @@ import numpy as np
 from astray.kernel.grid import ACTIONS as ACTIONS
 from astray.kernel.jit import kernel
 from astray.kernel.rng import below
-from astray.kernel.thief import DOOR, HALF, KEY_HIGH, KEY_WIDE, TIES, F, move, touches
+from astray.kernel.thief import DOOR, HALF, KEY_HIGH, KEY_WIDE, TIES, F, fields, move, touches
 from astray.record import NEVER, state_dtype
 
 LARGEST = 23  # cells a side of the largest world
@@ -19,31 +19,19 @@ GEM_HIGH = KEY_WIDE / F(70 / 48)  # half its height, cells, as of its picture
 KEY_X, KEY_Y = HALF + KEY_WIDE, HALF + KEY_HIGH  # centres closer than this touch
 GEM_X, GEM_Y = HALF + KEY_WIDE, HALF + GEM_HIGH
 
+EVENTS = (
+    "took_blue", "took_green", "took_red", "opened_blue", "opened_green", "opened_red",
+    "all_keys",  # one of each colour that there is
+    "reached_gem",
+)  # fmt: skip
 STATE = state_dtype(
-    ("cell", np.uint8, (LARGEST, LARGEST)),  # EMPTY or WALL at [y, x]; world is [:world, :world]
-    ("world", np.int64),  # cells a side
-    ("maze_size", np.int64),  # cells a side of the maze, somewhere in the world
-    ("window", np.int64),  # cells a side of the window around the thief; 0: the whole world
-    ("x", np.float32), ("y", np.float32),  # the thief's centre, in cells
-    ("vx", np.float32), ("vy", np.float32),  # cells per step
-    ("facing", np.int64),  # the last action that moved, or STAY
-    ("objects", np.int64),  # how many the level began with; by columns, each from below
-    ("what", np.uint8, (MOST,)),  # codes of keys, doors and the gem
-    ("object_x", np.float32, (MOST,)), ("object_y", np.float32, (MOST,)),  # centres, in cells
-    ("gone", np.int64, (MOST,)),  # the step that each was taken or opened, or NEVER
+    *fields(LARGEST, MOST),
     ("keys", np.int64),  # colours that the level began with keys of, a bit each
     ("hand", np.int64),  # colours of the keys in hand, a bit each; a key opens all of its doors
     ("background", np.int64),
     ("background_offset", np.float64),  # from 0 to 1: which part of the floor is seen
     ("twister", np.int64), ("twister_at", np.int64),  # its seed and draws when the level began
-    ("took_blue", np.int64), ("took_green", np.int64), ("took_red", np.int64),
-    ("opened_blue", np.int64), ("opened_green", np.int64), ("opened_red", np.int64),
-    ("all_keys", np.int64),  # one of each colour that there is
-    ("reached_gem", np.int64),
-)  # fmt: skip
-EVENTS = (
-    "took_blue", "took_green", "took_red", "opened_blue", "opened_green", "opened_red",
-    "all_keys", "reached_gem",
+    events=EVENTS,
 )  # fmt: skip
 
 

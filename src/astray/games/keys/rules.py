@@ -5,7 +5,7 @@ import numpy as np
 from astray.kernel.grid import ACTIONS as ACTIONS
 from astray.kernel.jit import kernel
 from astray.kernel.rng import below
-from astray.kernel.thief import HALF, KEY_WIDE, TIES, F, move, touches
+from astray.kernel.thief import HALF, KEY_WIDE, TIES, F, fields, move, touches
 from astray.record import NEVER, state_dtype
 
 LARGEST = 23  # cells a side of the largest world
@@ -23,18 +23,14 @@ SLOT, FIRST_SLOT, SLOT_DOWN = 0.06, 0.0375, 0.0597
 HALF_ICON = (0.0186, 0.03)  # half its width and height
 UPPER_RIGHT, UPPER_LEFT, LOWER_RIGHT, LOWER_LEFT, HIDDEN = range(5)  # `inventory`
 
+EVENTS = (
+    "first_key", "all_keys",
+    "first_chest", "all_chests",  # all that there are keys for
+    "passed_chest",
+    "keys_before_last",  # all keys, with a chest left to open
+)  # fmt: skip
 STATE = state_dtype(
-    ("cell", np.uint8, (LARGEST, LARGEST)),  # EMPTY or WALL at [y, x]; world is [:world, :world]
-    ("world", np.int64),  # cells a side
-    ("maze_size", np.int64),  # cells a side of the maze, somewhere in the world
-    ("window", np.int64),  # cells a side of the window around the thief; 0: the whole world
-    ("x", np.float32), ("y", np.float32),  # the thief's centre, in cells
-    ("vx", np.float32), ("vy", np.float32),  # cells per step
-    ("facing", np.int64),  # the last action that moved, or STAY
-    ("objects", np.int64),  # how many the level began with; by columns, each from below
-    ("what", np.uint8, (MOST,)),  # KEY or CHEST
-    ("object_x", np.float32, (MOST,)), ("object_y", np.float32, (MOST,)),  # centres, in cells
-    ("gone", np.int64, (MOST,)),  # the step the key was taken or the chest opened, or NEVER
+    *fields(LARGEST, MOST),
     ("had", np.int64, (MOST,)),  # of an opened chest: the keys in hand with which it was opened
     ("keys", np.int64), ("chests", np.int64),  # that the level began with
     ("taken", np.int64), ("opened", np.int64),  # how many so far; what is between is in hand
@@ -48,13 +44,7 @@ STATE = state_dtype(
     ("background_offset", np.float64),  # from 0 to 1: which part of the floor is seen
     ("twister", np.int64),  # what it was seeded with, NEVER where keys are not off centre,
     ("twister_at", np.int64),  # and how many draws were made before the first key was put
-    ("first_key", np.int64), ("all_keys", np.int64),
-    ("first_chest", np.int64), ("all_chests", np.int64),  # all that there are keys for
-    ("passed_chest", np.int64),
-    ("keys_before_last", np.int64),  # all keys, with a chest left to open
-)  # fmt: skip
-EVENTS = (
-    "first_key", "all_keys", "first_chest", "all_chests", "passed_chest", "keys_before_last",
+    events=EVENTS,
 )  # fmt: skip
 
 

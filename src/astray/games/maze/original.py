@@ -9,10 +9,11 @@ from astray.art import original
 from astray.game import Looks, Variant
 from astray.games.maze.variants import COLOURS, OTHERS, WALLS
 from astray.kernel.canvas import copy_flat
-from astray.kernel.cells import OPEN, paint_cells
+from astray.kernel.cells import paint_cells
 from astray.kernel.jit import kernel, shared
-from astray.kernel.maze import FLOORS, is_wall
-from astray.kernel.qt import GENERIC, SPRITE, around, blit, camera
+from astray.kernel.maze import FLOORS
+from astray.kernel.overhead import looking, visible
+from astray.kernel.qt import GENERIC, SPRITE, around, blit
 from astray.record import NEVER
 
 F = np.float32
@@ -26,7 +27,7 @@ OBJECT_PICTURES = {
     ("gem", "yellow"): "kenney/Items/gemYellow.png",
     ("gem", "red"): "kenney/Items/gemRed.png",
 }
-WALL_PLACE, MOUSE_PLACE, OBJECT_PLACES = FLOORS, FLOORS + 1, FLOORS + 2  # among the pictures
+MOUSE_PLACE, OBJECT_PLACES = FLOORS + 1, FLOORS + 2  # among the pictures, after the wall
 
 
 @shared
@@ -40,24 +41,12 @@ def background(s, art, scene):
 def paint_world(s, art, image):
     """Draw all cells of the whole world or of the window around the mouse."""
     pixels, places, objects, rule = art
-    side = image.shape[0]
-    if s.window:
-        seen, half = camera(side, s.window, F(s.x), F(s.y)), F(s.window) / F(2) + F(1)
-        left, low = int(F(s.x) - half), int(F(s.y) - half)
-        columns, rows = int(F(s.x) + half) - left + 1, int(F(s.y) + half) - low + 1
-    else:
-        seen = camera(side, s.world, F(s.world) * HALF, F(s.world) * HALF)
-        left, low, columns, rows = 0, 0, s.world, s.world
-    cells = np.full((rows, columns), OPEN)
-    for j in range(rows):
-        for i in range(columns):
-            if is_wall(s, left + i, low + j):
-                cells[j, i] = WALL_PLACE
+    left, low, cells = visible(s)
     if s.other_x != NEVER:
         put(cells, s.other_x - left, s.other_y - low, objects[s.other_shape, s.other_colour])
     if s.goal_x != NEVER and s.reached_goal == NEVER:
         put(cells, s.goal_x - left, s.goal_y - low, objects[s.goal_shape, s.goal_colour])
-    background = s.background, s.background_offset
+    background, seen = (s.background, s.background_offset), looking(s, image.shape[0])
     paint_cells(image, pixels, places, cells, seen, left, low, s.world, background, rule[0])
 
 
@@ -76,12 +65,7 @@ def foreground(s, art, scene, image):
         paint_world(s, art, image)
     else:
         copy_flat(image, scene)
-    side, cells = image.shape[0], s.window if s.window else s.world
-    if s.window:
-        seen = camera(side, cells, F(s.x), F(s.y))
-    else:
-        seen = camera(side, cells, F(s.world) * HALF, F(s.world) * HALF)
-    rect = around(seen, F(s.x), F(s.y), HALF, HALF)
+    rect = around(looking(s, image.shape[0]), F(s.x), F(s.y), HALF, HALF)
     blit(image, pixels, places[MOUSE_PLACE], rect, s.faces_right)
 
 

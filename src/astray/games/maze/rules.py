@@ -12,6 +12,7 @@ LARGEST = 31  # cells a side of the largest world
 EMPTY, GOAL, OTHER, BOTH = 0, 2, 3, 4  # what is in a cell, if not WALL; BOTH: goal on other
 REWARD = 10.0
 
+EVENTS = ("reached_goal", "reached_corner", "reached_other")
 STATE = state_dtype(
     ("cell", np.uint8, (LARGEST, LARGEST)),  # at [y, x]; the world is [:world, :world]
     ("world", np.int64),  # cells a side
@@ -27,9 +28,8 @@ STATE = state_dtype(
     ("walls", np.int64),  # their look
     ("background", np.int64),
     ("background_offset", np.float64),  # from 0 to 1: which part of the floor is seen
-    ("reached_goal", np.int64), ("reached_corner", np.int64), ("reached_other", np.int64),
+    events=EVENTS,
 )  # fmt: skip
-EVENTS = ("reached_goal", "reached_corner", "reached_other")
 
 
 @kernel
