@@ -28,7 +28,7 @@ def mutate(
     An edit toggles a cell of the maze; or moves the mouse or the other object, or toggles a wall,
     with equal probability; or places the goal as a new level of `variant` does, shifted with its
     shift_probability. A goal on a dish moves with the dish. Walls that would cut the mouse off
-    from the goal, the other object or the corner are not built. A maze keeps its corner, or none.
+    from the goal, the other object or the corner are not built. A maze keeps these, or none.
 
     Args:
         seeds: [N] uint32, which determine the edits.
@@ -48,8 +48,7 @@ def mutate(
         bounded("seeds", seed, 0, 2**32 - 1)  # the twister takes a larger one as another
     bounded("edits", edits, 0, MOST_EDITS)
     one_of("kind", kind, Mutation)
-    changed = np.array(states, STATE)
-    numbers = numbers.astype(np.int64)
+    changed, numbers = np.array(states, STATE), numbers.astype(np.int64)
     edit_all(changed, variant.records(), numbers, int(edits), MUTATIONS.index(kind))
     return changed
 
@@ -137,7 +136,8 @@ def edit_goal(s, params):
     """Place the goal as in a new level; it stays if its new place is taken or cut off."""
     if s.goal_x == NEVER:
         return
-    shifted = unit(s) < params[0].shift_probability
+    is_alike = (params[0].other_shape > 0) == (params[1].other_shape > 0)  # else it keeps its kind
+    shifted = unit(s) < params[0].shift_probability if is_alike else s.shifted
     p = params[1] if shifted else params[0]
     was_x, was_y = s.goal_x, s.goal_y
     was = s.cell[was_y, was_x]

@@ -154,3 +154,17 @@ def test_a_goal_does_not_move_to_a_corner_that_is_cut_off():
     mutated = GAME.mutation.mutate(states, variant, np.arange(8, dtype=np.uint32), 1, "constant")
     for s in mutated.view(np.recarray):
         assert GAME.solver.reachable(s)[s.goal_y, s.goal_x]
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_edits_leave_a_level_with_the_object_of_its_kind_alone(is_first):
+    """A level that became one of the other kind kept an object nobody sees, or lacked its own."""
+    bare, gem = VARIANTS["anywhere-small"], VARIANTS["red-line-yellow-gem-small"]
+    one, other = (gem, bare) if is_first else (bare, gem)
+    variant = replace(one, shift_probability=0.5, shifted=other)
+    seeds = np.arange(200, dtype=np.uint32)
+    for kind in ("constant", "binomial"):
+        edited = GAME.mutation.mutate(levels(variant, 200), variant, seeds, 20, kind)
+        assert set(edited["shifted"]) == {False, True}
+        assert ((edited["other_x"] == NEVER) == (edited["shifted"] == is_first)).all()
+        assert ((edited["other_shape"] == 0) == (edited["shifted"] == is_first)).all()
