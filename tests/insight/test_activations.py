@@ -77,7 +77,21 @@ def test_what_holds_no_activations_is_told(mouse, states, tmp_path):
     index = json.loads((tmp_path / "c" / "index.json").read_text())
     index["layers"]["spread"] = "../a.npz"
     (tmp_path / "c" / "index.json").write_text(json.dumps(index))
-    with pytest.raises(ValueError, match="in another folder"):
+    with pytest.raises(
+        ValueError, match=r"unknown file '\.\./a\.npz' of layer 'spread'; there are:"
+    ):
+        load_activations(tmp_path / "c")
+
+
+@pytest.mark.parametrize("kind", ["|V0", "|S0", "<U0", "<M8[s]", "<i4"])
+def test_arrays_of_other_types_are_not_mapped(mouse, states, kind, tmp_path, monkeypatch):
+    capture(mouse, SMALL, states[:2], ["spread"], folder=tmp_path / "c")
+    with open(tmp_path / "c" / "0.npy", "wb") as file:
+        header = {"descr": kind, "fortran_order": False, "shape": (2,)}
+        np.lib.format.write_array_header_1_0(file, header)
+        file.write(bytes(100))
+    monkeypatch.delattr(np, "load")  # with items of no bytes it divides by zero: SIGFPE
+    with pytest.raises(ValueError, match=r"no activations: unknown type .*; there are: float32"):
         load_activations(tmp_path / "c")
 
 

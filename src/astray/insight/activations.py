@@ -30,13 +30,13 @@ from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.tables import read_table, write_table
 from astray.analysis.trained import Model, check_network
 from astray.envs.states import BROKEN, arrays_of
-from astray.files import check_readable, folder_aside, read, write_aside
+from astray.files import check_readable, folder_aside, write_aside
 from astray.game import Variant
 from astray.memory import check_memory
+from astray.training.folders import read_json
 from astray.validation import MOST, bounded, of_kind, one_of, shown
 
 INDEX, LABELS, FORMAT = "index.json", "labels.parquet", 1
-LARGEST_INDEX = 2**20  # bytes
 LABEL = "label:"  # before the names of labels in an .npz file
 
 
@@ -274,23 +274,23 @@ def load_activations(path: Path) -> Activations:
 
 
 def _load_file(path: Path) -> Activations:
-    with arrays_of(path) as file:
-        arrays = {name: file[name] for name in file.files}
+    arrays = dict(arrays_of(path))
     labels = {n.removeprefix(LABEL): a for n, a in arrays.items() if n.startswith(LABEL)}
     values = {n: a for n, a in arrays.items() if not n.startswith(LABEL)}
     return Activations(values, pl.DataFrame(labels))
 
 
 def _load_folder(path: Path) -> Activations:
-    index = json.loads(read(path / INDEX, LARGEST_INDEX))
-    if not isinstance(index, dict) or not isinstance(index.get("layers"), dict):
-        raise ValueError(f"{INDEX} must be an object with 'layers'; got {shown(index)}")
+    index = read_json(path / INDEX, dict, ("layers",))
+    of_kind("layers", index["layers"], dict)
     if index.get("format") != FORMAT:
         raise ValueError(f"it has format {shown(index.get('format'))}; this version reads {FORMAT}")
     values = {}
     for name, file in index["layers"].items():
-        if Path(file).name != file:
-            raise ValueError(f"its layer {shown(name)} is in another folder")
+        one_of("file", file, os.listdir(path), of=f"layer {shown(name)}")  # none in other folders
         check_readable(path / file)
+        with open(path / file, "rb") as opened:  # as to map items of 0 bytes ends the process
+            np.lib.format.read_magic(opened)
+            one_of("type", np.lib.format.read_array_header_1_0(opened)[2].name, ("float32",), file)
         values[name] = np.load(path / file, mmap_mode="r", allow_pickle=False)
     return Activations(values, read_table(path / LABELS))
