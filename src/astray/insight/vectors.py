@@ -169,9 +169,6 @@ class Condition:
         of_kind("edit", self.edit, Callable)
 
 
-PLAIN = Condition()
-
-
 def effects(
     agent: Model,
     variant: str | Variant,

@@ -6,7 +6,6 @@ their mutual information on unlabelled test frames is minimised. A few labelled 
 select a head.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +18,6 @@ HIDDEN = 64
 BATCH = 128  # frames of either kind in a step
 RATE = 3e-3  # of Adam
 TINY = 1e-9
-
-Place = Callable[[np.ndarray], np.ndarray]  # states [N] -> [N] bool: the agent is there
 
 
 @dataclass(frozen=True, eq=False)
