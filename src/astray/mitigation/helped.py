@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.acting import Answer, Levels, Policy, Step, Turn, check_policy, steps
+from astray.acting import Answer, Levels, Policy, Turn, check_policy, steps
 from astray.analysis.evaluate import Measure
 from astray.analysis.policies import Walk
 from astray.analysis.trained import Agent
@@ -162,23 +162,7 @@ def play(
     query, or null), highest (score), moment (in `MOMENTS`, of the first query; null without
     `watch`), and the game's events (their steps, or null).
     """
-    n = count_levels(levels)
-    queries, first, moment = np.zeros(n, int), np.full(n, -1), np.full(n, -1)
-    highest, seen = np.full(n, -np.inf), np.zeros(n, bool)
-
-    def note(step: Step) -> None:
-        where, scores, helped = step.level, step.extra["score"], step.extra["helped"]
-        if watch:
-            seen[where] |= watch.seen(step.before)
-            now = np.where(watch.passed(step.before), 2, seen[where])
-            new = helped & (first[where] < 0)
-            moment[where[new]] = now[new]
-        first[where] = np.where(helped & (first[where] < 0), step.before["time"], first[where])
-        queries[where] += helped
-        highest[where] = np.maximum(highest[where], scores)
-
-    played = _episodes(policy, games.find(game), variant, levels, note)
-    return _with_help(played, queries, first, highest, moment)
+    return _with_help(*_recorded(policy, game, variant, levels, watch), pl.col("helped"), "score")
 
 
 def play_alone(
@@ -194,52 +178,45 @@ def play_alone(
     row per step: level (index in `levels`), time, moment (index in `MOMENTS`, -1 without `watch`),
     and one column per score, named by its position.
     """
-    seen, parts = np.zeros(count_levels(levels), bool), []
+    return _recorded(policy, game, variant, levels, watch)
 
-    def note(step: Step) -> None:
-        where = step.level
-        moment = np.full(len(where), -1)
+
+def _recorded(
+    policy: Policy, game: str | Game, variant: str | Variant, levels: Levels, watch: Watch | None
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Play; return the tables of `play_alone`, the second with all that the policy records."""
+    game, n = games.find(game), count_levels(levels)
+    returns, rows, seen, parts = np.zeros(n), [{}] * n, np.zeros(n, bool), []
+    for step in steps(policy, game, variant, levels):
+        where, moment = step.level, np.full(len(step.level), -1)
         if watch:
             seen[where] |= watch.seen(step.before)
             moment = np.where(watch.passed(step.before), 2, seen[where])
         told = {"level": where, "time": step.before["time"].copy(), "moment": moment}
         parts.append(pl.DataFrame(told | dict(step.extra)))
-
-    played = _episodes(policy, games.find(game), variant, levels, note)
-    return played, pl.concat(parts)
-
-
-def _episodes(
-    policy: Policy, game: Game, variant: str | Variant, levels: Levels, note: Callable[[Step], None]
-) -> pl.DataFrame:
-    """Play and return a row per level: level, length, return and the game's events."""
-    returns, rows = np.zeros(len(levels)), [{}] * len(levels)
-    for step in steps(policy, game, variant, levels):
-        note(step)
-        returns[step.level] += step.rewards
+        returns[where] += step.rewards
         for i in np.flatnonzero(step.ended):
             s = step.after[i]
             events = {e: int(s[e]) if s[e] >= 0 else None for e in game.events}
-            rows[step.level[i]] = {"level": int(s["level"]), "length": int(s["time"])} | events
+            rows[where[i]] = {"level": int(s["level"]), "length": int(s["time"])} | events
     kinds: dict = {event: pl.Int64 for event in game.events}
     played = pl.DataFrame(rows, schema_overrides=kinds)
-    return played.with_columns(pl.Series("return", returns))
+    return played.with_columns(pl.Series("return", returns)), pl.concat(parts)
 
 
-def _with_help(
-    played: pl.DataFrame,
-    queries: np.ndarray,
-    first: np.ndarray,
-    highest: np.ndarray,
-    moment: np.ndarray,
-) -> pl.DataFrame:
-    """Add columns about help to episodes; -1 in `first` and `moment` becomes null."""
-    return played.with_columns(
-        pl.Series("queries", queries),
-        pl.Series("first", [int(t) if t >= 0 else None for t in first], pl.Int64),
-        pl.Series("highest", highest),
-        pl.Series("moment", [MOMENTS[k] if k >= 0 else None for k in moment], pl.String),
+def _with_help(played: pl.DataFrame, said: pl.DataFrame, asks: pl.Expr, score: str) -> pl.DataFrame:
+    """Add columns about help to episodes, which is asked for in the steps of `asks`."""
+    by_level = said.sort("level", "time").group_by("level", maintain_order=True)
+    told = by_level.agg(
+        queries=asks.sum().cast(pl.Int64),
+        first=pl.col("time").filter(asks).first(),
+        highest=pl.col(score).max(),
+        moment=pl.col("moment").filter(asks).first(),
     )
+    named = pl.col("moment").replace_strict(
+        range(len(MOMENTS)), MOMENTS, default=None, return_dtype=pl.String
+    )
+    return played.hstack(told.select("queries", "first", "highest", named))
 
 
 def unheeded(played: pl.DataFrame, said: pl.DataFrame, score: str, limit: float) -> pl.DataFrame:
@@ -248,13 +225,4 @@ def unheeded(played: pl.DataFrame, said: pl.DataFrame, score: str, limit: float)
     Args:
         score: Column of `said` that requests help above `limit`.
     """
-    by_level = said.sort("level", "time").group_by("level", maintain_order=True)
-    asks = pl.col(score) > limit
-    told = by_level.agg(
-        queries=asks.sum(),
-        highest=pl.col(score).max(),
-        first=pl.col("time").filter(asks).first(),
-        moment=pl.col("moment").filter(asks).first(),
-    )
-    first, moment = (told[name].fill_null(-1).to_numpy() for name in ("first", "moment"))
-    return _with_help(played, told["queries"].to_numpy(), first, told["highest"].to_numpy(), moment)
+    return _with_help(played, said, pl.col(score) > limit, score)
