@@ -14,7 +14,8 @@ import io
 import itertools
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,6 +73,19 @@ class Activations:
         write_aside(path, file.getvalue())
 
 
+@contextlib.contextmanager
+def hooked(agent: Model, names: Iterable[str], see: Callable[[str, Any], Any]) -> Iterator[None]:
+    """Call `see` with the name and output of each named module; its result, if any, replaces it."""
+    modules = dict(agent.network.named_modules())
+    with contextlib.ExitStack() as stack:
+        for name in names:
+            hook = modules[name].register_forward_hook(
+                lambda _, __, output, name=name: see(name, output)
+            )
+            stack.callback(hook.remove)
+        yield
+
+
 def layers(agent: Model) -> dict[str, tuple[int, ...]]:
     """Return the readable and changeable layers in the network's order: name -> output shape.
 
@@ -79,18 +93,12 @@ def layers(agent: Model) -> dict[str, tuple[int, ...]]:
     observation.
     """
     check_network(agent)
-    calls: dict[str, list[Any]] = {}
-    with contextlib.ExitStack() as stack:
-        for name, module in agent.network.named_modules():
-            if name:
-                hook = module.register_forward_hook(
-                    lambda _, __, output, name=name: calls.setdefault(name, []).append(output)
-                )
-                stack.callback(hook.remove)
-        with torch.no_grad():
-            # Two, so that a layer is told whose rows are no observations.
-            blank = np.zeros((2, *agent.space.shape), agent.space.dtype)
-            agent.asked(torch.from_numpy(blank).to(agent.device))
+    calls: defaultdict[str, list[Any]] = defaultdict(list)
+    names = [name for name, _ in agent.network.named_modules() if name]
+    # Two, so that a layer is told whose rows are no observations.
+    blank = torch.from_numpy(np.zeros((2, *agent.space.shape), agent.space.dtype))
+    with torch.no_grad(), hooked(agent, names, lambda name, x: calls[name].append(x)):
+        agent.asked(blank.to(agent.device))
     return {
         name: tuple(x.shape[1:])
         for name, (x, *more) in calls.items()
@@ -124,13 +132,7 @@ def activations(
     """
     shapes = check_layers(agent, names)
     parts: dict[str, list[Any]] = {name: [] for name in shapes}  # of tensors
-    modules = dict(agent.network.named_modules())
-    with contextlib.ExitStack() as stack:
-        for name in shapes:
-            hook = modules[name].register_forward_hook(
-                lambda _, __, output, name=name: parts[name].append(output)
-            )
-            stack.callback(hook.remove)
+    with hooked(agent, shapes, lambda name, x: parts[name].append(x)):
         if begins is None or not agent.caveat:
             agent.outputs(observations)  # in chunks of one size, the last one padded
         else:

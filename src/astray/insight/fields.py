@@ -79,6 +79,11 @@ class Places:
                 queue.append(here)
         return found
 
+    def chance(self, policy: np.ndarray, here: Cell, there: Cell) -> float:
+        """Return the probability of a step from one cell to another, of a policy [A] there."""
+        leads = self.leads[self.number[here]]
+        return float(sum(p for p, cell in zip(policy, leads, strict=True) if cell == there))
+
     def advancing(self, to: Cell) -> np.ndarray:
         """Return [K, A] bool, the actions along a shortest way to the cell `to`.
 
@@ -155,9 +160,7 @@ class Field:
         """
         if check_cell(here) not in self.places.number:
             raise ValueError(f"here must be a place of the field; got {shown(here)}")
-        k = self.places.number[here]
-        leads = self.places.leads[k]
-        return float(sum(p for p, c in zip(self.policy[k], leads, strict=True) if c == there))
+        return self.places.chance(self.policy[self.places.number[here]], here, there)
 
     def path_probability(self, start: Cell | None = None) -> dict[Cell, float]:
         """Return the preference for the way to each cell, from 0 to 1 (at the start).

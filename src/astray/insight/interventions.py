@@ -22,7 +22,7 @@ from astray.agents.drc import DRC
 from astray.analysis.critic import observe
 from astray.analysis.trained import Agent, AnyModel, Model
 from astray.game import Variant
-from astray.insight.activations import activations, check_layers
+from astray.insight.activations import activations, check_layers, hooked
 from astray.level import Cell
 from astray.validation import MOST, bounded, finite, integers, of_kind, shown
 
@@ -45,13 +45,7 @@ def changed(agent: AnyModel, changes: Mapping[str, Change]) -> Iterator[AnyModel
     check_layers(agent, list(changes))
     for name, change in changes.items():
         of_kind(f"the change of {name}", change, Callable)
-    modules = dict(agent.network.named_modules())
-    with contextlib.ExitStack() as stack:
-        for name, change in changes.items():
-            handle = modules[name].register_forward_hook(
-                lambda _, __, output, change=change: change(output)
-            )
-            stack.callback(handle.remove)
+    with hooked(agent, changes, lambda name, x: changes[name](x)):
         yield agent
 
 
@@ -103,18 +97,11 @@ def patch(
         if len(shape) != 3:
             raise ValueError(f"{layer} has no places; its activations have the shape {shape}")
         _check_cell(cell, ("row", "column"), shape[1:])
-    values = torch.from_numpy(_fitting("value", value, (len(which),))).float()
-
-    def change(x: Tensor) -> Tensor:
-        x = x.clone()
-        new = values.to(x).expand(len(which))
-        if cell is None:
-            x[:, which] = new.view(1, -1, *[1] * (x.dim() - 2)).expand_as(x[:, which])
-        else:
-            x[:, which, cell[0], cell[1]] = new
-        return x
-
-    return changed(agent, {layer: change})
+    array = np.broadcast_to(_fitting("value", value, (len(which),)), len(which))
+    new = torch.from_numpy(array.copy()).float()
+    if cell is None:
+        new = new.view(-1, *[1] * (len(shape) - 1))
+    return changed(agent, {layer: lambda x: _with(x, which, new, *cell or ())})
 
 
 def ablate(
@@ -285,10 +272,10 @@ def _channels(
     return shape, found.astype(np.int64)
 
 
-def _with(x: Tensor, which: np.ndarray, new: Tensor) -> Tensor:
-    """Return a copy of activations [B, ...] with `new` values in the channels `which`."""
+def _with(x: Tensor, which: np.ndarray, new: Tensor, *cell: int) -> Tensor:
+    """Return a copy of activations [B, ...] with `new` values in channels, in a cell or in all."""
     x = x.clone()
-    x[:, which] = new.to(x)
+    x[(slice(None), which, *cell)] = new.to(x)
     return x
 
 

@@ -194,12 +194,5 @@ def path_along(agent: Agent, level: Level, way: list[Cell], around: Places) -> f
         around: Places of the level, or of one with the same walls.
     """
     policy, _ = policy_and_value(agent, observe(agent, level.variant, states_at(level, way[:-1])))
-    chances = [
-        sum(
-            p
-            for p, leads in zip(some, around.leads[around.number[here]], strict=True)
-            if leads == there
-        )
-        for some, here, there in zip(policy, way[:-1], way[1:], strict=True)
-    ]
+    chances = [*map(around.chance, policy, way[:-1], way[1:])]
     return float(np.exp(np.log(np.maximum(chances, np.finfo(float).tiny)).mean()))
