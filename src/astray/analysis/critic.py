@@ -13,6 +13,7 @@ import heapq
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import accumulate
 
 import numpy as np
 import polars as pl
@@ -93,19 +94,12 @@ def visit(
     value = policy_and_value(agent, observe(agent, variant, states))[1]
     columns = {"value": value, "action": action, "reward": reward}
     if gamma is not None:
-        futures = [_futures(one, gamma) for one in rewards]
-        played = zip(heaps, futures, strict=True)
-        steps_of = ((future, sorted(int(row[1][0]) for row in heap)) for heap, future in played)
-        columns["future"] = np.concatenate([future[kept] for future, kept in steps_of])
+        futures = []
+        for heap, one in zip(heaps, rewards, strict=True):
+            sums = [*accumulate(reversed(one), lambda after, reward: reward + gamma * after)]
+            futures += [sums[-1 - step] for step in sorted(int(row[1][0]) for row in heap)]
+        columns["future"] = np.array(futures)
     return _table(states, columns, measures), states
-
-
-def _futures(rewards: list[float], gamma: float) -> np.ndarray:
-    """Return the discounted sum of rewards from each step on, [T]."""
-    futures, after = np.empty(len(rewards)), 0.0
-    for step in reversed(range(len(rewards))):
-        futures[step] = after = rewards[step] + gamma * after
-    return futures
 
 
 def counterfactual(
