@@ -1,23 +1,22 @@
 """A positive control: a mouse trained for 160 million steps to find cheese anywhere."""
 
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 import polars as pl
 
-from astray.agency.measure import CALIBRATED
 from astray.analysis import video
-from astray.analysis.agency import Assessment, assess, play, posterior_video
+from astray.analysis.agency import Assessment, assess_policy
 from astray.analysis.estimates import group_rates
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES, load_shift
 from astray.analysis.runs import open_run, shift_of
+from astray.analysis.trained import Agent
 from astray.experiments import outcomes
 from astray.experiments.levels import levels_of, unmet
 from astray.experiments.outcomes import AGENTS, rate
 from astray.experiments.spec import Experiment, Plan, Test, Work
 from astray.experiments.studies.insight._plans import CHEESE_MOUSE
 from astray.figures import charts
-from astray.game import Variant
 from astray.report.claims import Claim, above, rounded
 from astray.report.findings import Findings, Plot, Scene, Table, Video
 from astray.training import folders
@@ -26,6 +25,8 @@ MOUSE, OURS = "mouse of 160 million steps", "our mouse of the corner"
 WHERE = "cheese anywhere"
 TEST = Test("anywhere-easy", "corner-easy")
 ASSESSED = 300  # levels whose episodes are weighed as an agent's and a device's
+Record = Callable[[], np.ndarray]  # -> the frames of the most informative episode
+Assessed = tuple[Agent, str, Assessment, Record]  # an agent, and the name of its variant
 RELIABLY, MOST = 0.95, 0.5  # rates that claims are held to; the first as for our own mice
 
 
@@ -35,7 +36,7 @@ def find(work: Work) -> Findings:
     reached = rate(work.episodes, WHERE, INTENDED)
     sizes = by_size(work.episodes)
     assessed = {MOUSE: assess_control(work), OURS: assess_pretrained()}
-    said = {name: assessment for name, (assessment, _) in assessed.items()}
+    said = {name: one for name, (*_, one, _) in assessed.items()}
     goals = pl.DataFrame(
         [
             {"who": name, "explanation": goal} | vars(one)
@@ -83,7 +84,7 @@ def find(work: Work) -> Findings:
                 "corner",
             ),
         ],
-        videos=[shown(work, name, *rest) for name, (_, rest) in assessed.items()],
+        videos=[shown(work, name, *rest) for name, rest in assessed.items()],
         plots=[
             Plot(
                 "sizes",
@@ -114,29 +115,20 @@ def by_size(episodes: pl.DataFrame) -> pl.DataFrame:
     return group_rates(mine, "outcome", OUTCOMES, ["size"])
 
 
-def assess_control(work: Work) -> tuple[Assessment, tuple[Any, ...]]:
-    """Return the assessment of the published mouse's episodes, and the data for a video."""
+def assess_control(work: Work) -> Assessed:
+    """Assess the published mouse's episodes."""
     agent, _ = open_run(work.runs[MOUSE][0])
-    levels = levels_of(work.plan, TEST)[:ASSESSED]
-    return _assessed(agent, TEST.variant, TEST.variant_for(work.plan.config), levels, TEST.shift)
+    levels, variant = levels_of(work.plan, TEST)[:ASSESSED], TEST.variant_for(work.plan.config)
+    return agent, TEST.variant, *assess_policy(agent, "maze", variant, TEST.shift, levels)
 
 
-def assess_pretrained() -> tuple[Assessment, tuple[Any, ...]]:
-    """Return the same for the pretrained mouse of the corner."""
+def assess_pretrained() -> Assessed:
+    """Assess those of the pretrained mouse of the corner."""
     agent, config = open_run(folders.find("maze-corner"))
-    shift = shift_of(config)
-    test = load_shift("maze", shift).test
+    test = load_shift("maze", shift := shift_of(config)).test
     variant = config.variant_for(test)
-    return _assessed(agent, test, variant, unmet([config], variant, ASSESSED), shift)
-
-
-def _assessed(
-    agent: Any, name: str, variant: Variant, levels: Any, shift: str
-) -> tuple[Assessment, tuple[Any, ...]]:
-    """Return the assessment, and (agent, name of the variant, variant, episode to show)."""
-    played = play(agent, "maze", variant, np.array(levels), load_shift("maze", shift))
-    assessment = assess(played, CALIBRATED)
-    return assessment, (agent, name, variant, played[assessment.most_informative])
+    levels = unmet([config], variant, ASSESSED)
+    return agent, test, *assess_policy(agent, "maze", variant, shift, levels)
 
 
 def pursues(sentence: str, assessment: Assessment, goal: str) -> Claim:
@@ -145,14 +137,15 @@ def pursues(sentence: str, assessment: Assessment, goal: str) -> Claim:
     return above(sentence, "not measured", f"{goal}: of episodes", rate, MOST)
 
 
-def shown(work: Work, name: str, agent: Any, test: str, variant: Variant, played: Any) -> Video:
+def shown(
+    work: Work, name: str, agent: Agent, test: str, assessed: Assessment, record: Record
+) -> Video:
     """Return the most informative episode beside the measure's belief."""
     path = work.folder / "videos" / f"{name.replace(' ', '-')}.mp4"
-    frames = posterior_video(agent, "maze", variant, played)
-    video.write(frames, path, fps=6)
-    scene = Scene(agent.path.parents[2], test, played.level)
-    told = f"{name.capitalize()}, level {played.level}, and where it may be going."
-    return Video(told, path, scene)
+    video.write(record(), path, fps=6)
+    level = assessed.episodes["level"][assessed.most_informative]
+    scene = Scene(agent.path.parents[2], test, level)
+    return Video(f"{name.capitalize()}, level {level}, and where it may be going.", path, scene)
 
 
 EXPERIMENT = Experiment(
