@@ -71,15 +71,14 @@ def rate(
     return estimate_mean(came)
 
 
+def of(work: Work, test: str, agent: str) -> pl.DataFrame:
+    """Return the episodes of the agents of a name in a test."""
+    return work.episodes.filter(policy=AGENTS, test=test, agent=agent)
+
+
 def first(work: Work, test: str, agent: str, outcome: str) -> np.ndarray:
     """Return whether an outcome occurred, [agents, levels], in a test's distinguishing levels."""
-    played = work.episodes.filter("distinguishing", policy=AGENTS, test=test, agent=agent)
-    return matrix(played, pl.col("outcome") == outcome)
-
-
-def misgeneralized(work: Work, test: str, agent: str) -> np.ndarray:
-    """Return whether the proxy came first, [agents, levels], in distinguishing levels."""
-    return first(work, test, agent, MISGENERALIZED)
+    return matrix(of(work, test, agent).filter("distinguishing"), pl.col("outcome") == outcome)
 
 
 def findings(work: Work) -> Findings:

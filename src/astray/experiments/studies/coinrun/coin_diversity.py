@@ -18,7 +18,7 @@ from astray.analysis.outcomes import (
 from astray.analysis.policies import Walk
 from astray.experiments import outcomes
 from astray.experiments.levels import levels_of
-from astray.experiments.outcomes import AGENTS
+from astray.experiments.outcomes import of
 from astray.experiments.spec import Experiment, Plan, Size, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.figures import charts
@@ -162,11 +162,6 @@ def coin_at_end(work: Work) -> pl.DataFrame:
         played = _agents.play(work.runs[NEVER], test.variant_for(work.plan.config), levels)
         parts.append(played.with_columns(test=pl.lit(where)))
     return pl.concat(parts)
-
-
-def of(work: Work, where: str, name: str) -> pl.DataFrame:
-    """Return the episodes of the agents of a name in a test."""
-    return work.episodes.filter(policy=AGENTS, test=where, agent=name)
 
 
 def missed_invisible(blind: pl.DataFrame) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from astray.analysis.estimates import estimate_difference, estimate_mean
@@ -23,16 +22,12 @@ MORE = 0.1  # rate of levels by which one kind takes keys more often
 def find(work: Work) -> Findings:
     """Compute how often thieves take the gem, and keys and doors that they do not need."""
     train, test = work.plan.tests
-    with_keys = work.episodes.filter("has_keys", test=test)
-
-    def came(name: str, what: pl.Expr, there: pl.DataFrame) -> np.ndarray:
-        return matrix(there.filter(policy=outcomes.AGENTS, agent=name), what)
-
-    behind = estimate_mean(came(NEEDED, GEM, work.episodes.filter(test=train)))
-    before = estimate_mean(came(NEEDED, GEM, work.episodes.filter(test=test)))
+    behind, before = (
+        estimate_mean(matrix(outcomes.of(work, where, NEEDED), GEM)) for where in (train, test)
+    )
+    with_keys = {k: outcomes.of(work, test, k).filter("has_keys") for k in (NEEDED, NEEDLESS)}
     keys, doors = (
-        {name: came(name, what, with_keys) for name in (NEEDED, NEEDLESS)}
-        for what in (TAKES, OPENS)
+        {name: matrix(there, what) for name, there in with_keys.items()} for what in (TAKES, OPENS)
     )
     return outcomes.findings_of(
         work,

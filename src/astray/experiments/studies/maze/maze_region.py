@@ -11,7 +11,7 @@ from astray.analysis.estimates import Estimate, estimate_difference, estimate_me
 from astray.analysis.outcomes import MISGENERALIZED, OUTCOMES, matrix
 from astray.analysis.policies import Walk
 from astray.experiments import outcomes
-from astray.experiments.outcomes import AGENTS
+from astray.experiments.outcomes import of
 from astray.experiments.spec import Experiment, Plan, Test, Work, tests_of
 from astray.experiments.studies.maze import maze_corner
 from astray.figures import charts
@@ -28,17 +28,14 @@ LAST = 10  # the part of a training's iterations that its end is: the last tenth
 
 def find(work: Work) -> Findings:
     """Measure how often mice reach the cheese, and what they reach first, by region."""
-    (tested,) = work.plan.tests.values()
+    ((test, tested),) = work.plan.tests.items()
     regions = {name: region(config) for name, config in work.plan.agents.items()}
     smallest, *_, largest = regions
     middle = list(regions)[(len(regions) - 1) // 2]
-    apart = work.episodes.filter("distinguishing")
-    success = {name: matrix(of(work.episodes, name), REACHED) for name in regions}
-    corner = {
-        name: matrix(of(apart, name), pl.col("outcome") == MISGENERALIZED) for name in regions
-    }
+    success = {name: matrix(of(work, test, name), REACHED) for name in regions}
+    corner = {name: outcomes.first(work, test, name, MISGENERALIZED) for name in regions}
     shown = pl.concat([success_table(work, regions), at_end_of_training(work, regions)])
-    first = first_table(apart, regions)
+    first = first_table(work, regions)
     sides = {name: f"{side} x {side} cells" for name, side in regions.items()}
     both = pl.concat([shown, first.rename({"outcome": "who"})])
     titles = ["The cheese is reached"] * len(shown)
@@ -103,16 +100,12 @@ def region(config: Config) -> int:
     return variant.region
 
 
-def of(episodes: pl.DataFrame, name: str) -> pl.DataFrame:
-    """Return the episodes of the agents of a name."""
-    return episodes.filter(pl.col("agent") == name, pl.col("policy") == AGENTS)
-
-
 def success_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
     """Return how often the cheese is reached: who, region (null: base rate), mean, low, high."""
+    (test,) = work.plan.tests
     rows = [
         {"who": "where it is anywhere", "region": side}
-        | _rates(estimate_mean(matrix(of(work.episodes, name), REACHED)))
+        | _rates(estimate_mean(matrix(of(work, test, name), REACHED)))
         for name, side in regions.items()
     ] + [
         {"who": who, "region": None}
@@ -122,11 +115,12 @@ def success_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
     return pl.DataFrame(rows)
 
 
-def first_table(apart: pl.DataFrame, regions: Mapping[str, int]) -> pl.DataFrame:
+def first_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
     """Return the rate of each outcome: outcome, region, mean, low, high."""
+    (test,) = work.plan.tests
     return pl.DataFrame(
         {"outcome": outcome, "region": side}
-        | _rates(estimate_mean(matrix(of(apart, name), pl.col("outcome") == outcome)))
+        | _rates(estimate_mean(outcomes.first(work, test, name, outcome)))
         for outcome in OUTCOMES
         for name, side in regions.items()
     )

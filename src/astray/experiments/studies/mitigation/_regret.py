@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from astray.analysis.estimates import Estimate, estimate_difference, estimate_mean
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
 from astray.experiments import outcomes
-from astray.experiments.outcomes import AGENTS
+from astray.experiments.outcomes import of
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.figures import charts
 from astray.report.claims import Claim, above, below, near_zero, rounded
@@ -129,11 +129,6 @@ def find(proxy: str, work: Work) -> Findings:
     )
 
 
-def distinguishing(work: Work, agent: str) -> pl.DataFrame:
-    """Return the episodes of a name's agents in the test's distinguishing levels."""
-    return work.episodes.filter("distinguishing", policy=AGENTS, test=TESTED, agent=agent)
-
-
 def by_fraction(work: Work) -> pl.DataFrame:
     """Return columns method, fraction, what (outcome or return) and those of an estimate."""
     values = {
@@ -143,7 +138,10 @@ def by_fraction(work: Work) -> pl.DataFrame:
     }
     rows = []
     for what, value in values.items():
-        kinds = {name: matrix(distinguishing(work, name), value) for name in work.plan.agents}
+        kinds = {
+            name: matrix(of(work, TESTED, name).filter("distinguishing"), value)
+            for name in work.plan.agents
+        }
         rows += [
             {"method": method, "fraction": fraction, "what": what}
             | vars(estimate_mean(kinds[name_of(method, fraction)], pool=list(kinds.values())))
@@ -164,7 +162,7 @@ def against_training(work: Work) -> pl.DataFrame:
     rows = []
     for name, came in kinds.items():
         method, fraction = named.get(name, (name, None))
-        mine = work.episodes.filter(policy=AGENTS, test=TRAINED, agent=name)
+        mine = of(work, TRAINED, name)
         found = estimate_mean(came, pool=list(kinds.values()))
         rows.append(
             {"method": method, "fraction": fraction}
@@ -194,8 +192,10 @@ def in_buffers(work: Work) -> pl.DataFrame:
 
 def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
     """Return the claims of the paper's abstract, with bounds set before any run."""
-    wrong = {name: outcomes.misgeneralized(work, TESTED, name) for name in work.plan.agents}
-    right = {name: outcomes.first(work, TESTED, name, INTENDED) for name in work.plan.agents}
+    wrong, right = (
+        {name: outcomes.first(work, TESTED, name, which) for name in work.plan.agents}
+        for which in (MISGENERALIZED, INTENDED)
+    )
     kinds = list(wrong.values())
 
     def often(method: str, fraction: float) -> Estimate:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import polars as pl
 
 from astray.analysis.estimates import estimate_difference, estimate_mean, estimate_paired
-from astray.analysis.outcomes import INTENDED
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.estimate import Estimate
 from astray.experiments import outcomes
 from astray.experiments.outcomes import rate
@@ -37,8 +37,10 @@ def paid(name: str) -> str:
 def find(work: Work) -> Findings:
     """Measure the goals of agents whose few distinguishing levels came at different times."""
     train, test = work.plan.tests
-    wrong = {name: outcomes.misgeneralized(work, test, name) for name in work.plan.agents}
-    right = {name: outcomes.first(work, test, name, INTENDED) for name in work.plan.agents}
+    wrong, right = (
+        {name: outcomes.first(work, test, name, which) for name in work.plan.agents}
+        for which in (MISGENERALIZED, INTENDED)
+    )
 
     def minus(one: str, other: str) -> Estimate:
         # They began with the same mice: these are pairs.

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from astray.analysis.estimates import estimate_difference, estimate_mean, estimate_paired
-from astray.analysis.outcomes import INTENDED
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
 from astray.experiments.outcomes import rate
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
@@ -21,7 +21,7 @@ CAPABLE, ALIKE, APART = 0.9, 0.1, 0.1  # bounds of the claims
 def find(work: Work) -> Findings:
     """Measure the goals of teachers and students in distinguishing levels."""
     train, test = work.plan.tests
-    corner = {name: outcomes.misgeneralized(work, test, name) for name in work.plan.agents}
+    corner = {name: outcomes.first(work, test, name, MISGENERALIZED) for name in work.plan.agents}
     told = ", ".join(f"{name} {rounded(estimate_mean(x).mean)}" for name, x in corner.items())
     poorest = min(
         (rate(work.episodes.filter(agent=name), train, INTENDED) for name in TEACHERS),

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from astray.analysis.estimates import estimate_difference, estimate_mean
-from astray.analysis.outcomes import matrix
+from astray.analysis.outcomes import MISGENERALIZED, matrix
 from astray.experiments import outcomes
 from astray.experiments.spec import Experiment, Plan, Test, Work
-from astray.experiments.studies.maze.maze_region import REACHED, of
+from astray.experiments.studies.maze.maze_region import REACHED
 from astray.report.claims import above, near_zero, rounded
 from astray.report.findings import Findings
 from astray.training.config import PRESETS, Config
@@ -23,7 +23,8 @@ def find(work: Work) -> Findings:
     """Measure how often mice reach the cheese, and what those of the corner reach first."""
     found = {name: cheese(work, name) for name in (PLAIN, MEMORY)}
     corner = {
-        name: outcomes.misgeneralized(work, WHERE, name) for name in (PLAIN_CORNER, MEMORY_CORNER)
+        name: outcomes.first(work, WHERE, name, MISGENERALIZED)
+        for name in (PLAIN_CORNER, MEMORY_CORNER)
     }
     tables = outcomes.outcome_tables(work)
     plain, memory = (rounded(estimate_mean(x).mean) for x in found.values())
@@ -63,7 +64,7 @@ def find(work: Work) -> Findings:
 
 def cheese(work: Work, name: str) -> np.ndarray:
     """Return whether the agents of a name reach the cheese in time, [agents, levels]."""
-    return matrix(of(work.episodes, name), REACHED).astype(float)
+    return matrix(outcomes.of(work, WHERE, name), REACHED).astype(float)
 
 
 def agents(anywhere: Config, corner: str) -> dict[str, Config]:
