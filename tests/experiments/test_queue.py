@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from astray.experiments import catalogue, run
+from astray.experiments import catalogue, run, workers
 from astray.experiments.workers import expected
 from astray.report import page as report
 from astray.training import checkpoint
@@ -70,6 +70,13 @@ def test_hours_are_of_the_steps_that_are_left(tmp_path):
     assert "4 agents, 1 of them trained; 108.0 million steps are left, about 15.0 hours" in told
     assert "about 30.0 hours with 1 at once" in expected(todo, 1000, workers=1)
     assert "about 10.0 hours" in expected(todo, 1000, workers=9)
+
+
+def test_hours_say_where_a_processor_is_slower_than_those_measured(tmp_path, monkeypatch):
+    for native in True, False:
+        monkeypatch.setattr(workers, "get_host_cpu_features", lambda n=native: {"avx512bf16": n})
+        told = expected({tmp_path: TINY}, 1000)
+        assert ("without, as here, two to five times as long" not in told) == native
 
 
 def test_a_training_under_way_has_less_to_go(tmp_path):

@@ -244,3 +244,8 @@ def test_the_papers_network_is_trained_on_pictures(tmp_path):
     lines = checkpoint.metrics(tmp_path)
     assert np.isfinite([line["update/loss"] for line in lines]).all()
     assert lines[1]["update/learning_rate"] == pytest.approx(5e-4 / 2)
+
+
+def test_a_scale_that_a_network_does_not_have_is_refused():
+    with pytest.raises(ValueError, match="network mlp has no scale; got 3"):
+        next(iterate(TINY.changed(scale=3)))

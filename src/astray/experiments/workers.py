@@ -15,6 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from llvmlite.binding import get_host_cpu_features
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -30,6 +31,7 @@ from astray.training.track import train_tracked
 from astray.world import World
 
 SECONDS, QUIET = 0.5, 60.0  # from one look at the runs to the next; from line to line
+SLOWER = "two to five times as long"  # measured for the agents of size night
 TAIL = 4096  # bytes of metrics.jsonl in which its last line is
 
 
@@ -72,10 +74,12 @@ def expected(todo: Mapping[Path, Config], speed: int, workers: int | None = None
     # Not less than the longest takes, and all of them share the processors.
     seconds = max(max(left), sum(left) / at_once) / speed
     trained = sum(steps == 0 for steps in left)
+    native = get_host_cpu_features().get("avx512bf16")
+    slower = "" if native else f" with bfloat16 products (without, as here, {SLOWER})"
     return (
         f"{len(left)} agents, {trained} of them trained; {sum(left) / 1e6:,.1f} million steps are "
         f"left, about {seconds / 3600:.1f} hours with {at_once} at once, at {speed:,} steps a "
-        "second and core; stopped, the same command goes on"
+        f"second and core{slower}; stopped, the same command goes on"
     )
 
 

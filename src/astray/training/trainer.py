@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -129,6 +130,9 @@ class Trainer:
                 made = build(self.architecture)
                 of_kind(f"what {config.network} makes", made, nn.Module)
                 count = sum(x.numel() for x in made.parameters())
+                plain = build(replace(self.architecture, scale=1)).parameters()
+                if config.scale != 1 and count == sum(x.numel() for x in plain):
+                    raise ValueError(f"network {config.network} has no scale; got {config.scale}")
         except (RuntimeError, OverflowError) as error:  # more than there are addresses
             raise MemoryError(
                 f"a network of width {config.width} and scale {config.scale} has too many weights "
