@@ -232,6 +232,7 @@ def translated(folder, body):
         "x, y = np.empty(2), np.empty(2)\n x[:], y[:] = 1, 2\n return x[0] + 10 * y[1]",
         "s.a = 7 / 2\n s.a += 0.75\n return s.a",  # a field of integers
         "return ((s.a, 1) == (0, 1)) + 2 * ((s.a, 1) != (0, 1))",
+        "x, y = (s.a, 1), (0, 1)\n return (x == y) + 2 * (x != y) + 4 * (y != (s.a, 2))",
         "return 3 if [] and [1] else 4",  # to JavaScript an empty array is true
         "return len([] or [] or [1, 2]) + 10 * len([] and [1])",
         "return 3 if [1] and s.a == 0 and [] and 1 else 4",

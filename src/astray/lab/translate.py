@@ -46,8 +46,9 @@ WHOLE: dict[type, str] = SIGNS | {  # between integers of 64 bits
 NUMPY = np.ndarray | np.generic
 Kind = str | tuple[str, ...]  # of a value, or of each part of one: SINGLE, WIDE, or "" for others
 # Of `page/rules/python.js`:
-NAMES = ["and", "copyFlat", "exact", "fill", "from", "or", "where", "wide", "yes"]
+NAMES = ["and", "copyFlat", "exact", "fill", "from", "or", "same", "where", "wide", "yes"]
 NAMES.extend(CALLS.values())
+PERHAPS_TUPLE = re.compile(r"[A-Za-z_]\w*(\(|$)")  # a name or a call
 LONG = re.compile(r"(?<![\d.])\d{16,}(?![\d.e])")  # integers of a page are exact up to 2 ** 53
 WORDS = frozenset(  # that mean something else in a module of JavaScript, and those of ours
     "arguments await case catch class const debugger default delete do enum eval export extends "
@@ -322,9 +323,11 @@ class _Function:
         if op is ast.In:
             return f"{two}.map(String).includes(String({one}))"
         is_tuple = "[" in (one[0], two[0])  # which JavaScript compares by where it is kept
-        if op not in SIGNS or (is_tuple and op not in (ast.Eq, ast.NotEq)):
+        equates = op in (ast.Eq, ast.NotEq)
+        if op not in SIGNS or (is_tuple and not equates):
             raise self._unknown(node)
-        one, two = (f"String({side})" if is_tuple else side for side in (one, two))
+        if equates and (is_tuple or (PERHAPS_TUPLE.match(one) and PERHAPS_TUPLE.match(two))):
+            return f"{'!' if op is ast.NotEq else ''}same({one}, {two})"
         return f"{one} {SIGNS[op]} {two}"
 
     def _call(self, function: Any, args: list[Any]) -> str:

@@ -10,6 +10,7 @@ export const from = (at, rows) => (at < 0 ? at + rows.length : at); // as in Pyt
 export const yes = (x) => (Array.isArray(x) ? x.length > 0 : Boolean(x));
 export const or = (one, other) => (yes(one) ? one : other());
 export const and = (one, other) => (yes(one) ? other() : one);
+export const same = (a, b) => (Array.isArray(a) ? String(a) === String(b) : a == b);
 export const wide = (x) => BigInt.asUintN(64, BigInt(x)); // an integer without a sign
 
 export function exact(number) {
