@@ -128,6 +128,14 @@ def test_nothing_can_be_used_before_it_is_loaded(chrome, static):
     context.close()
 
 
+def test_a_page_without_python_does_not_say_that_it_compiles(chrome, static):
+    page = chrome.new_context().new_page()
+    page.route("**/data/*/**", lambda route: None)  # a slow server's
+    page.goto(static)
+    page.get_by_text("Loading.", exact=True).wait_for()
+    page.context.close()
+
+
 @pytest.mark.parametrize(
     "width, theme",
     [

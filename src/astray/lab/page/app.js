@@ -121,8 +121,9 @@ export class Lab {
   // Show a level: a number, a drawing, or an object as `Level.to_json` has it. `wrong`, of a link:
   // what else was asked for and cannot be shown.
   async open(level, wrong = null) {
-    const loading = "Loading. Code that is used for the first time is compiled: some 10 to 20 seconds.";
-    const late = setTimeout(() => this.panels.status(loading), SOON);
+    const compiled = this.about.engine === "static" ? ""
+      : " Code that is used for the first time is compiled: some 10 to 20 seconds.";
+    const late = setTimeout(() => this.panels.status(`Loading.${compiled}`), SOON);
     return this.#opened(level, wrong).finally(() => { clearTimeout(late); this.panels.status("connected"); });
   }
 
