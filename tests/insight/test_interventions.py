@@ -188,3 +188,18 @@ def test_what_cannot_be_changed_is_told(tmp_path, make, message):
     agent = make_agent("small", tmp_path)
     with pytest.raises(ValueError, match=message), make(agent):
         pass
+
+
+@pytest.mark.parametrize(
+    ("change", "got"),
+    [
+        (lambda x: None, "None"),
+        (lambda x: "x", "'x'"),
+        (lambda x: x[:, :2], r"torch.Size\(\[.*, 2"),
+        (lambda x: x[:1], r"torch.Size\(\[1, "),
+    ],
+)
+def test_a_change_that_returns_no_activations_is_told(kind, agent, change, got):
+    said = f"the change of .* must return a tensor of .*; got {got}"
+    with changed(agent, {LAYERS[kind]: change}), pytest.raises(ValueError, match=said):
+        agent.outputs(seen_by(agent))

@@ -9,6 +9,7 @@ videos, gradients.
 """
 
 import contextlib
+import functools
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -39,13 +40,21 @@ def changed(agent: AnyModel, changes: Mapping[str, Change]) -> Iterator[AnyModel
             shape without changing it in place.
 
     Raises:
-        ValueError: If a layer is unknown.
+        ValueError: If a layer is unknown, or, once it is used, a function returns anything else.
     """
     of_kind("changes", changes, Mapping)
     check_layers(agent, list(changes))
     for name, change in changes.items():
         of_kind(f"the change of {name}", change, Callable)
-    with hooked(agent, changes, lambda name, x: changes[name](x)):
+
+    def replaced(name: str, x: Tensor) -> Tensor:
+        new: Any = changes[name](x)  # None would leave the layer as it is
+        if getattr(new, "shape", None) != x.shape:
+            given = shown(getattr(new, "shape", new))
+            raise ValueError(f"the change of {name} must return a tensor of {x.shape}; got {given}")
+        return new
+
+    with hooked(agent, changes, replaced):
         yield agent
 
 
@@ -64,15 +73,11 @@ def steer(
     of_kind("vectors", vectors, Mapping)
     finite("coefficient", coefficient)
     shapes = check_layers(agent, list(vectors))
-    added = {}
+    changes: dict[str, Any] = {}
     for name, vector in vectors.items():
-        array = _fitting(f"the vector at {name}", vector, shapes[name])
-        added[name] = torch.as_tensor(coefficient * array)
-
-    def change(name: str) -> Change:
-        return lambda x: x + added[name].to(x) if coefficient else x
-
-    return changed(agent, {name: change(name) for name in vectors})
+        added = coefficient * _fitting(f"the vector at {name}", vector, shapes[name])
+        changes[name] = lambda x, y=added: x + torch.as_tensor(y).to(x) if coefficient else x
+    return changed(agent, changes)
 
 
 def patch(
@@ -188,10 +193,7 @@ def interchange(
     said = []
     for first in range(0, len(seen), AT_ONCE):
         part = slice(first, first + AT_ONCE)
-
-        def change(x: Tensor, part: slice = part) -> Tensor:
-            return _with(x, which, given[part])
-
+        change = functools.partial(_with, which=which, new=given[part])
         with torch.no_grad(), changed(agent, {layer: change}):
             logits, values = agent.asked(torch.from_numpy(seen[part]).to(agent.device))
         said.append((logits.double().softmax(-1).cpu(), values.double().cpu()))
