@@ -201,7 +201,7 @@ def test_what_scores_higher_takes_the_place_of_what_is_replayed_least():
     score = np.full(16, -1.0)
     score[:3] = 9.5, 1.5, 99.0
     before = sampler.states["level"].copy()
-    sampler._insert(score, score, score)
+    sampler._insert(np.stack([score, score, score]))
     assert sorted(sampler.score) == [2, 3, 4, 5, 6, 7, 8, 9, 9.5, 10, 11, 12, 13, 14, 15, 99]
     assert sorted(set(sampler.states["level"]) - set(before)) == [500_000, 500_002]
     sampler._insert(score + 100, score, score)  # the same numbers are there already

@@ -32,13 +32,10 @@ def _compiled(game: Game, art: str) -> Callable:
         "step": game.rules.step,
         "background": looks.background,
         "foreground": looks.foreground,
-        "background_planes": game.symbols.background_planes
-        if game.symbols
-        else loops.no_background_planes,
-        "foreground_planes": game.symbols.foreground_planes
-        if game.symbols
-        else loops.no_foreground_planes,
     }
+    if game.symbols:
+        for name in ("background_planes", "foreground_planes"):
+            functions[name] = getattr(game.symbols, name)
     label = game.name if art == OWN else f"{game.name}_{art}"
     functions["background_of"] = specialise(loops.background_of_any, label, shared, **functions)
     functions["begin_one"] = specialise(loops.begin, label, shared, **functions)
@@ -59,13 +56,9 @@ def _compiled(game: Game, art: str) -> Callable:
 def _compile(game: Game, looks: Looks, run: Callable) -> None:
     """Run without environments, which compiles the loop for its argument types."""
     variant = next(iter(game.variants.values()))
-    states, params = np.zeros(0, game.state), variant.records()
-    pictures, numbers, flags = (
-        np.empty((0, 1, 1, 1), np.uint8),
-        np.empty(0, np.int64),
-        np.empty(0, bool),
-    )
+    params, states = variant.records(), np.zeros(0, game.state)
+    pictures = np.empty((0, 1, 1, 1), np.uint8)
     run(
-        states, (looks.pictures(variant, 1), False, pictures), (params, numbers, 0, 1, states),
-        (0, numbers, numbers), (pictures, states, pictures), (np.empty(0), flags, flags), *alone(),
+        states, (looks.pictures(variant, 1), False, pictures), (params, NUMBERS, 0, 1, states),
+        (0, NUMBERS, NUMBERS), (pictures, states, pictures), NO_RESULTS, *alone(),
     )  # fmt: skip

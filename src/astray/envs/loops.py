@@ -35,23 +35,15 @@ def foreground(s, art, scene, image) -> None:
     raise NotImplementedError
 
 
-def background_planes(s, scene) -> None:
-    raise NotImplementedError
-
-
-def foreground_planes(s, scene, planes) -> None:
-    raise NotImplementedError
-
-
-# In the place of the two above, where a game has no symbols.
+# Left as they are where a game has no symbols.
 @kernel
-def no_background_planes(s, scene):
-    """Write no background, for games without symbols."""
+def background_planes(s, scene):
+    """Write no background."""
 
 
 @kernel
-def no_foreground_planes(s, scene, planes):
-    """Write no planes, for games without symbols."""
+def foreground_planes(s, scene, planes):
+    """Write no planes."""
 
 
 # Bound to the function below it, once that is bound to a game.

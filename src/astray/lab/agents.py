@@ -124,15 +124,11 @@ class Agents:
         except ValueError:
             shift = next(iter(game.shifts), "")
         test = game.shifts[shift].test if shift else config.variant
-        return {
-            "game": config.game, "variant": config.variant, "test": test, "shift": shift,
+        return _told(agent, game, config.variant, test, shift) | {
             "variants": [n for n, v in _own_variants(config, game) if sees(agent, game, v)],
-            "observation": agent.observation, "art": agent.art, "network": config.network,
-            "knobs": _knobs(config, game), "steps": config.steps,
-            "gamma": config.gamma, "lam": config.lam, "seed": agent.seed,
+            "network": config.network, "knobs": _knobs(config, game), "steps": config.steps,
+            "gamma": config.gamma, "lam": config.lam,
             "reward_deviation": AgentFolder.of(agent.path).deviation(),
-            "caveat": agent.caveat,
-            "layers": _layers(agent),
         }  # fmt: skip
 
 
@@ -142,8 +138,13 @@ def _about(policy: Network | Opaque, tested: str | None) -> dict[str, Any]:
     there = [(name, shift) for name, shift in game.shifts.items() if shift.test == tested]
     name, shift = next(iter(there or game.shifts.items()), ("", None))
     train, test = (shift.train, shift.test) if shift else [next(iter(game.variants))] * 2
+    return _told(policy, game, train, test, name)
+
+
+def _told(policy: Shown, game: Game, train: str, test: str, shift: str) -> dict[str, Any]:
+    """Return the page's description of a policy, without a training's settings."""
     return {
-        "game": game.name, "variant": train, "test": test, "shift": name,
+        "game": game.name, "variant": train, "test": test, "shift": shift,
         "variants": [n for n, variant in game.variants.items() if sees(policy, game, variant)],
         "observation": policy.observation, "art": policy.art, "network": None,
         "knobs": {}, "steps": None, "gamma": GAMMA, "lam": LAMBDA, "seed": policy.seed,

@@ -68,7 +68,7 @@ class Replay:
         self.chance = config.sampler.replay or CHANCES[config.sampler.kind]
         self.intended = config.intended_goal() if config.sampler.score == "regret" else None
         self.states = np.zeros(size, self.game.state)
-        self.score, self.best, self.optimal = np.zeros((3, size))
+        self.score, self.best, self.optimal = self.scores = np.zeros((3, size))
         self.visited = np.zeros(size, np.int64)  # number of its last replay, from 1
         self.kind, self.turn = GENERATE, 0
         self.rollouts = np.zeros(len(KINDS), np.int64)
@@ -107,13 +107,14 @@ class Replay:
         mean, best = discounted_returns(played.reward, ended, self.config.gamma)
         self.rollouts[self.kind] += 1
         if self.kind == REPLAY:
-            where = self.places
-            best, optimal = np.maximum(best, self.best[where]), self.optimal[where]
-            self._put(where, self.current, self._scores(played, mean, best, optimal), best, optimal)
-            return
-        optimal = self._optimal(self.current)
-        score = self._scores(played, mean, best, optimal)
-        self._insert(score, best, optimal)
+            best, optimal = np.maximum(best, self.best[self.places]), self.optimal[self.places]
+        else:
+            optimal = self._optimal(self.current)
+        scores = np.stack([self._score(played, mean, best, optimal), best, optimal])
+        if self.kind == REPLAY:
+            self._put(self.places, self.current, scores)
+        else:
+            self._insert(scores)
 
     def chances(self) -> np.ndarray:
         """Return the probability of each buffered level to be replayed next, [B]."""
@@ -135,7 +136,7 @@ class Replay:
     def arrays(self) -> dict[str, np.ndarray]:
         return {
             "states": self.states.view(np.uint8).reshape(len(self.states), -1),
-            "scores": np.stack([self.score, self.best, self.optimal]),
+            "scores": self.scores,
             "visited": self.visited,
             "rollouts": self.rollouts,
             "places": self.places,
@@ -157,7 +158,7 @@ class Replay:
         if turn:
             self.game.check(states, self.variant)
         self.states, self.visited, self.rollouts = states, visited.copy(), rollouts.copy()
-        self.score, self.best, self.optimal = arrays["scores"].copy()
+        self.score, self.best, self.optimal = self.scores = arrays["scores"].copy()
         self.turn, self.kind, self.places = turn, kind, places.copy()
         self.current = states[places]
 
@@ -168,7 +169,7 @@ class Replay:
         for first in range(0, len(self.states), n):
             some = slice(first, first + n)
             self.states[some] = self._generated(random)[: len(self.states) - first]
-        self.optimal = self._optimal(self.states)
+        self.optimal[:] = self._optimal(self.states)
 
     def _generated(self, random: np.random.Generator) -> np.ndarray:
         """Return the initial states of training levels, drawn for all environments."""
@@ -176,11 +177,12 @@ class Replay:
         numbers = random.integers(levels.start, levels.stop, len(self.places))
         return initial_states(self.game, self.variant, numbers)
 
-    def _insert(self, score: np.ndarray, best: np.ndarray, optimal: np.ndarray) -> None:
-        """Replace the least likely levels of the buffer by new ones with higher scores.
+    def _insert(self, scores: np.ndarray) -> None:
+        """Replace the least likely levels of the buffer by new ones with higher scores [3, N].
 
         A number that is already in the buffer is not inserted again.
         """
+        score = scores[0]
         numbers = self.current["level"]
         first = np.zeros(len(numbers), bool)
         first[np.unique(numbers, return_index=True)[1]] = True
@@ -189,22 +191,15 @@ class Replay:
         low = np.argsort(self.chances(), kind="stable")[: len(order)]
         low = low[np.argsort(self.score[low], kind="stable")]
         enters = new[order] & (score[order] > self.score[low])
-        here, chosen = low[enters], order[enters]
-        self._put(here, self.current[chosen], score[chosen], best[chosen], optimal[chosen])
+        chosen = order[enters]
+        self._put(low[enters], self.current[chosen], scores[:, chosen])
 
-    def _put(
-        self,
-        where: np.ndarray,
-        states: np.ndarray,
-        score: np.ndarray,
-        best: np.ndarray,
-        optimal: np.ndarray,
-    ) -> None:
-        """Store levels and their data at places of the buffer."""
-        self.states[where], self.score[where], self.best[where] = states, score, best
-        self.optimal[where], self.visited[where] = optimal, self.rollouts[REPLAY]
+    def _put(self, where: np.ndarray, states: np.ndarray, scores: np.ndarray) -> None:
+        """Store levels [K] and their scores [3, K] at places of the buffer."""
+        self.states[where], self.scores[:, where] = states, scores
+        self.visited[where] = self.rollouts[REPLAY]
 
-    def _scores(
+    def _score(
         self, played: Played, mean: np.ndarray, best: np.ndarray, optimal: np.ndarray
     ) -> np.ndarray:
         """Return the levels' scores [N], of the kind in the settings."""

@@ -23,22 +23,14 @@ WAYS = tuple(map(ACTIONS.index, WAY_NAMES))
 
 def direction(states: np.ndarray, goal: str) -> np.ndarray:
     """Return the first direction of the shortest way to `goal`, an index in WAYS, [N] int64."""
-    found = np.full(len(states), NONE)
-    for k, s in enumerate(_records(states)):
-        action = routes(s, goal)[int(s.y), int(s.x)]
-        if action != STAY:
-            found[k] = WAYS.index(action)
-    return found
+    best = (routes(s, goal)[int(s.y), int(s.x)] for s in _records(states))
+    return np.array([WAYS.index(way) if way != STAY else NONE for way in best], np.int64)
 
 
 def steps(states: np.ndarray, goal: str) -> np.ndarray:
     """Return the length of the shortest way to `goal`, [N] float64."""
-    found = np.full(len(states), np.nan)
-    for k, s in enumerate(_records(states)):
-        count = steps_to(s, goal)[int(s.y), int(s.x)]
-        if count != UNREACHABLE:
-            found[k] = count
-    return found
+    counts = np.array([steps_to(s, goal)[int(s.y), int(s.x)] for s in _records(states)], float)
+    return np.where(counts == UNREACHABLE, np.nan, counts)
 
 
 def offset(states: np.ndarray, goal: str, axis: int) -> np.ndarray:

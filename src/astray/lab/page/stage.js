@@ -97,7 +97,7 @@ export class Stage {
     lab.look.still(brush, lab.level, state, pictures, lab.rules);
     this.#heat(brush);
     below();
-    if (lab.broken) this.#things(brush, pictures);
+    if (lab.broken) this.#things(brush);
     else lab.look.moving(brush, lab.level, state, pictures, lab.rules);
   }
 
@@ -106,20 +106,11 @@ export class Stage {
     const { lab } = this;
     const names = Object.fromEntries(
       Object.entries(lab.rules.objects).map(([name, char]) => [lab.rules.legend[char], name]));
-    const { paint, scale, top } = brush;
+    const letter = (text, x, y) => brush.letter(text, x + 0.5, y + 0.5, "#a8480a", "700 1em system-ui");
     lab.level.grid.forEach((row, y) => row.forEach((what, x) => {
-      if (what in names) this.#letter(paint, scale, top, names[what][0], x, y);
+      if (what in names) letter(names[what][0], x, y);
     }));
-    const [x, y] = lab.level.agent.map(Math.floor);
-    this.#letter(paint, scale, top, "@", x, y);
-  }
-
-  #letter(paint, scale, top, text, x, y) {
-    paint.fillStyle = "#a8480a";
-    paint.font = `700 ${0.6 * scale}px system-ui`;
-    paint.textAlign = "center";
-    paint.textBaseline = "middle";
-    paint.fillText(text, (x + 0.5) * scale, (top - y - 0.5) * scale);
+    letter("@", ...lab.level.agent.map(Math.floor));
   }
 
   #heat(brush) {
@@ -196,20 +187,11 @@ export class Stage {
   }
 
   // Where the episode has been.
-  #trail({ paint, scale, top }) {
-    const { states } = this.lab.episode;
-    paint.beginPath();
-    for (let t = 0; t <= this.lab.now && t < states.length; t++) {
-      const [x, y] = states[t].agent ?? [states[t].x, states[t].y];
-      paint[t ? "lineTo" : "moveTo"](x * scale, (top - y) * scale);
-    }
-    paint.setLineDash([0.16 * scale, 0.12 * scale]);
-    for (const [style, width] of [["rgba(255, 255, 255, 0.5)", 0.1], ["rgba(30, 30, 30, 0.5)", 0.06]]) {
-      paint.strokeStyle = style;
-      paint.lineWidth = Math.max(1.5, width * scale);
-      paint.stroke();
-    }
-    paint.setLineDash([]);
+  #trail(brush) {
+    const shown = this.lab.episode.states.slice(0, this.lab.now + 1);
+    brush.path(shown.map(({ agent, x, y }) => agent ?? [x, y]));
+    brush.stroke("rgba(255, 255, 255, 0.5)", 0.1, 1.5, [0.16, 0.12]);
+    brush.stroke("rgba(30, 30, 30, 0.5)", 0.06, 1.5, [0.16, 0.12]);
   }
 
   // The cell under a pointer; null outside.

@@ -1,6 +1,7 @@
 // The timeline of an episode: value, advantages, events.
 
 import { advantages, divided, drawTimeline } from "./draw/charts.js";
+import { made } from "./parts.js";
 
 // The episode's curves, and buttons that go to its marked steps.
 export function showTimeline(lab) {
@@ -38,8 +39,7 @@ function bookmarks(lab, marks) {
   const texts = marks.map(([name, step]) => `${name}: step ${step}`);
   if (texts.join() === [...box.children].map((one) => one.textContent).join()) return; // keeps the focus
   box.replaceChildren(...marks.map(([, step], k) => {
-    const button = document.createElement("button");
-    button.textContent = texts[k];
+    const button = made("button", { textContent: texts[k] });
     button.addEventListener("click", () => lab.go(step));
     return button;
   }));

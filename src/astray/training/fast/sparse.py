@@ -55,19 +55,9 @@ class Forward(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any,
-        planes: Tensor,
-        spread: CircleEmbedding,
-        between: torch.dtype,
-        w1: Tensor,
-        b1: Tensor,
-        w2: Tensor,
-        b2: Tensor,
-        policy: Tensor,
-        policy_bias: Tensor,
-        value: Tensor,
-        value_bias: Tensor,
+        ctx: Any, planes: Tensor, spread: CircleEmbedding, between: torch.dtype, *weights: Tensor
     ) -> Tensor:
+        w1, b1, w2, b2, policy, policy_bias, value, value_bias = weights
         ctx.found = ends, rows, values = _found(planes, spread)
         h1 = planes.new_empty((len(planes), len(w1)), dtype=between)
         weight, bias = w1.detach().T.contiguous().numpy(), b1.detach().numpy()

@@ -34,14 +34,10 @@ export function drawArrows(brush, fields, ways, colour, edge) {
   }
 }
 
-function dot({ paint, scale, top }, x, y, colour, edge) {
-  paint.beginPath();
-  paint.arc(x * scale, (top - y) * scale, Math.max(1.5, 0.06 * scale), 0, 2 * Math.PI);
-  paint.strokeStyle = edge;
-  paint.lineWidth = Math.max(1.5, 0.05 * scale);
-  paint.stroke();
-  paint.fillStyle = colour;
-  paint.fill();
+function dot(brush, x, y, colour, edge) {
+  brush.circle(x, y, Math.max(1.5 / brush.scale, 0.06));
+  brush.stroke(edge, 0.05);
+  brush.shade(colour);
 }
 
 // An arrow about the centre (x, y), as long as the policy is sure.
@@ -74,28 +70,20 @@ function arrow({ paint, scale, top }, x, y, dx, dy, sure, colour, edge) {
 
 // In every cell a bar towards each side, as long as the policy goes there.
 export function drawBars(brush, fields, ways, colour, edge) {
-  const { paint, scale, top } = brush;
+  brush.paint.lineCap = "butt";
   for (const { cell: [x, y], policy } of fields.values()) {
-    const [cx, cy] = [(x + 0.5) * scale, (top - y - 0.5) * scale];
-    for (const [way, rate] of Object.entries(rateOfWays(policy, ways))) {
+    const centre = [x + 0.5, y + 0.5];
+    const rates = rateOfWays(policy, ways);
+    for (const [way, rate] of Object.entries(rates)) {
       const [dx, dy] = way.split(",").map(Number);
       if ((!dx && !dy) || rate < 0.02) continue;
       const reach = (0.46 * rate) / Math.hypot(dx, dy);
-      for (const [style, width] of [[edge, 0.15], [colour, 0.09]]) {
-        paint.beginPath();
-        paint.moveTo(cx, cy);
-        paint.lineTo(cx + dx * reach * scale, cy - dy * reach * scale);
-        paint.strokeStyle = style;
-        paint.lineWidth = Math.max(1.2, width * scale);
-        paint.lineCap = "butt";
-        paint.stroke();
-      }
+      brush.path([centre, [centre[0] + dx * reach, centre[1] + dy * reach]]);
+      brush.stroke(edge, 0.15, 1.2);
+      brush.stroke(colour, 0.09, 1.2);
     }
-    const still = rateOfWays(policy, ways)["0,0"] ?? 0;
-    paint.beginPath();
-    paint.arc(cx, cy, Math.max(1, (0.03 + 0.13 * still) * scale), 0, 2 * Math.PI);
-    paint.fillStyle = colour;
-    paint.fill();
+    brush.circle(...centre, Math.max(1 / brush.scale, 0.03 + 0.13 * (rates["0,0"] ?? 0)));
+    brush.shade(colour);
   }
 }
 
@@ -151,24 +139,15 @@ export function drawSplay({ paint, scale, top }, splay, colours, edge, intended)
 
 // A way through the world, and rings around what it takes first.
 export function drawRoute(brush, { cells, takes }, colour, edge) {
-  const { paint, scale, top } = brush;
-  for (const [style, width] of [[edge, 0.2], [colour, 0.11]]) {
-    paint.beginPath();
-    cells.forEach(([x, y], k) => paint[k ? "lineTo" : "moveTo"](x * scale, (top - y) * scale));
-    paint.strokeStyle = style;
-    paint.lineWidth = Math.max(1.5, width * scale);
-    paint.lineJoin = paint.lineCap = "round";
-    paint.stroke();
-  }
+  brush.paint.lineJoin = brush.paint.lineCap = "round";
+  brush.path(cells);
+  brush.stroke(edge, 0.2);
+  brush.stroke(colour, 0.11);
   for (const [x, y] of takes ?? []) ring(brush, x, y, colour, edge);
 }
 
-export function ring({ paint, scale, top }, x, y, colour, edge) {
-  for (const [style, width] of [[edge, 0.16], [colour, 0.09]]) {
-    paint.beginPath();
-    paint.arc((x + 0.5) * scale, (top - y - 0.5) * scale, 0.41 * scale, 0, 2 * Math.PI);
-    paint.strokeStyle = style;
-    paint.lineWidth = Math.max(1.5, width * scale);
-    paint.stroke();
-  }
+export function ring(brush, x, y, colour, edge) {
+  brush.circle(x + 0.5, y + 0.5, 0.41);
+  brush.stroke(edge, 0.16);
+  brush.stroke(colour, 0.09);
 }

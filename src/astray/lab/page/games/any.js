@@ -21,17 +21,9 @@ function still(brush, level, s, pictures, rules) {
   each(level, s, rules, (names, char, x, y) => {
     brush.fill(FILLS[char] ?? FILLS["."], x, y);
     if (floors.length) brush.tile(pictures.get(floors[(x + y) % floors.length]), x, y);
-    else if (!FILLS[char]) letter(brush, char, x, y);
+    else if (!FILLS[char]) brush.letter(char, x + 0.5, y + 0.47, "#333", "600 1em ui-monospace, monospace");
     if (char === "#") names.forEach((name) => brush.tile(pictures.get(name), x, y));
   });
-}
-
-function letter({ paint, scale, top }, char, x, y) {
-  paint.fillStyle = "#333";
-  paint.font = `600 ${0.6 * scale}px ui-monospace, monospace`;
-  paint.textAlign = "center";
-  paint.textBaseline = "middle";
-  paint.fillText(char, (x + 0.5) * scale, (top - y - 0.47) * scale);
 }
 
 function moving(brush, level, s, pictures, rules) {
@@ -43,9 +35,6 @@ function moving(brush, level, s, pictures, rules) {
     brush.stamp(pictures.get(s.picture), x, y);
     return;
   }
-  const { paint, scale, top } = brush;
-  paint.fillStyle = "#14776f";
-  paint.beginPath();
-  paint.arc(x * scale, (top - y) * scale, 0.34 * scale, 0, 2 * Math.PI);
-  paint.fill();
+  brush.circle(x, y, 0.34);
+  brush.shade("#14776f");
 }

@@ -28,20 +28,12 @@ function still(brush, { grid, looks }, s, pictures) {
     if (what === LAVA) brush.tile(pictures.get("lava"), x, y);
     if (what === LAVA_TOP) brush.tile(pictures.get("lava-top"), x, y);
     if (what === COIN) brush.tile(pictures.get("coin"), x, y);
-    if (what === INVISIBLE) ghost(brush, x, y);
+    if (what === INVISIBLE) {
+      brush.circle(x + 0.5, y + 0.5, 0.33);
+      brush.stroke("rgba(90, 80, 20, 0.45)", 0.06, 1, [0.14, 0.1]);
+    }
     if (what === CRATE_HERE) brush.tile(pictures.get(`crate-${(details[`${x},${y}`] ?? 0) % CRATES}`), x, y);
   });
-}
-
-function ghost(brush, x, y) {
-  const { paint, scale, top } = brush;
-  paint.strokeStyle = "rgba(90, 80, 20, 0.45)";
-  paint.lineWidth = Math.max(1, 0.06 * scale);
-  paint.setLineDash([0.14 * scale, 0.1 * scale]);
-  paint.beginPath();
-  paint.arc((x + 0.5) * scale, (top - y - 0.5) * scale, 0.33 * scale, 0, 2 * Math.PI);
-  paint.stroke();
-  paint.setLineDash([]);
 }
 
 function moving(brush, { grid }, s, pictures) {

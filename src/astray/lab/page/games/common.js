@@ -34,6 +34,40 @@ export class Brush {
     paint.fillStyle = colour;
     paint.fillRect(left, up, right - left, down - up);
   }
+
+  // Begins a path: through points, or around one.
+  path(points) {
+    this.paint.beginPath();
+    points.forEach(([x, y], k) =>
+      this.paint[k ? "lineTo" : "moveTo"](x * this.scale, (this.top - y) * this.scale));
+  }
+
+  circle(x, y, radius) {
+    this.paint.beginPath();
+    this.paint.arc(x * this.scale, (this.top - y) * this.scale, radius * this.scale, 0, 2 * Math.PI);
+  }
+
+  // Draws the path, in a width of so many cells, and pixels at least.
+  stroke(style, width, least = 1.5, dashes = []) {
+    const { paint, scale } = this;
+    paint.setLineDash(dashes.map((length) => length * scale));
+    paint.strokeStyle = style;
+    paint.lineWidth = Math.max(least, width * scale);
+    paint.stroke();
+    paint.setLineDash([]);
+  }
+
+  shade(style) {
+    this.paint.fillStyle = style;
+    this.paint.fill();
+  }
+
+  letter(text, x, y, style, font) {
+    const { paint, scale, top } = this;
+    Object.assign(paint, { fillStyle: style, textAlign: "center", textBaseline: "middle" });
+    paint.font = font.replace("1em", `${0.6 * scale}px`);
+    paint.fillText(text, x * scale, (top - y) * scale);
+  }
 }
 
 export function eachCell(grid, visit) {
