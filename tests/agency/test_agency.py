@@ -160,6 +160,8 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: SMALL.walk((1, 1), [0]), "(1, 1) is a wall"),
         (lambda: SMALL.walk((0, 9), [0]), "outside"),
         (lambda: SMALL.walk((0, 0), [4]), "from 0 to 3"),
+        (lambda: SMALL.trajectory([((1, 2), 1), ((1, 1), 1)]), "step 1 begins in (1, 1)"),
+        (lambda: SMALL.trajectory([]), "without steps"),
         (lambda: SMALL.path([(0, 2), (0, 0)]), "no move leads from (0, 2) to (0, 0)"),
         (lambda: measure(Episode(ISLANDS, LEFT, (2, 0))), "(2, 0) is a wall"),
         (lambda: measure(Episode(ISLANDS, LEFT, (4, 0))), "no way leads to the goal (4, 0)"),
@@ -172,6 +174,12 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: Options(noise_atom=2), "from 0 to 1"),
         (lambda: Setting(ISLANDS, (0, 0), (4, 0), 0), "no way leads"),
         (lambda: Setting(SMALL, (0, 2), (2, 2), -1), "seed must be an integer from 0 to"),
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=float("nan")),  # pyright: ignore
+         "horizon must be an integer from 1 to 2147483647; got nan"),
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=1.5),  # pyright: ignore
+         "horizon must be an integer from 1 to 2147483647; got 1.5"),
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=0), "from 1 to 2147483647; got 0"),
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, bumps=2), "bumps must be a bool; got 2"),  # pyright: ignore
         (lambda: Setting("..", (0, 2), (2, 2), 0), "world must be a World; got '..'"),  # pyright: ignore
         (lambda: Setting(SMALL, (0, 2), (2, 2), 0).episodes("robust", 1.5),  # pyright: ignore
          "count must be an integer from 0 to 2147483647; got 1.5"),

@@ -157,12 +157,13 @@ def test_what_is_out_of_view_changes_nothing(either):
     pairs = critic.counterfactual(either, SHORT, room(*level), edits.without_coin)
     assert pairs["seen"].to_list() == [False, True]
     assert pairs["change"][0] == pairs["policy_change"][0] == 0 != pairs["change"][1]
+    sees = critic.sees(either, SHORT, edits.without_coin)
+    assert sees(room(*level)).tolist() == [False, True]
 
 
-def test_a_coin_is_seen_where_geometry_says_so(tmp_path, visited):
+def test_a_coin_is_seen_where_geometry_says_so(tmp_path, agent, visited):
     states = visited[1]
-    agent = make_agent("image", tmp_path)
-    seen = critic.counterfactual(agent, SHORT, states, edits.without_coin)["seen"].to_numpy()
+    seen = critic.sees(make_agent("image", tmp_path), SHORT, edits.without_coin)(states)
     assert (seen == measures.coin_in_view(states)).mean() > 0.97 and 0.1 < seen.mean() < 0.9
 
 

@@ -17,14 +17,16 @@ from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import load_agent
 from astray.envs.vector import GameVectorEnv
 from astray.mitigation import oversight
-from astray.mitigation.helped import AFTER, BEFORE, SEEN, Alone, Helped, Watch, play, play_alone
+from astray.mitigation.helped import AFTER, BEFORE, SEEN, Helped, Watch, play
 from astray.mitigation.oversight import (
     PERCENTILES,
     Trial,
     area,
+    curve,
     least_gain,
     net_returns,
     threshold,
+    training_scores,
     when_asked,
 )
 from astray.mitigation.uncertainty import Chance, OfLogits
@@ -51,15 +53,9 @@ class ByTime:
         return np.isin(env.states["time"], self.uncertain).astype(float)
 
 
-def training_scores(novice, score, game, variant, levels):
-    """The score at each step of the novice alone, by level."""
-    _, said = play_alone(Alone(novice, [score]), game, variant, levels)
-    return said.select("level", score="0")
-
-
 def test_what_help_brings_is_told_level_by_level(mouse):
     trial = Trial("maze", SHIFT, CORNER, range(10), ANYWHERE, LEVELS)
-    table = oversight.curves(mouse, Walk("cheese"), [Chance()], trial, ("step",), (50.0,))
+    table = curve(mouse, Walk("cheese"), Chance(), trial, "step", (50.0,))
     alone = evaluate(mouse, "maze", ANYWHERE, LEVELS)["return"]
     best = evaluate(Walk("cheese"), "maze", ANYWHERE, LEVELS)["return"]
     nothing, all_of_it, _ = table.select("gain", "error").rows()
@@ -195,8 +191,7 @@ def test_the_dearer_a_query_the_fewer_are_worth_it():
 
 def test_a_curve_goes_from_the_novice_to_the_expert(mouse):
     trial = Trial("maze", SHIFT, CORNER, range(40), ANYWHERE, LEVELS)
-    scores = [OfLogits(mouse, "entropy")]
-    table = oversight.curves(mouse, Walk("cheese"), scores, trial, percentiles=(50.0, 90.0))
+    table = curve(mouse, Walk("cheese"), OfLogits(mouse, "entropy"), trial, "step", (50.0, 90.0))
     assert table["percentile"].to_list() == [None, None, 50, 90]
     assert table["help"][0] == 0 and table["help"][1] == 1 and table["return"][1] == 10
     assert table["help"][1] > table["help"][2] > table["help"][3] > 0

@@ -138,6 +138,25 @@ class World:
             cells.append(int(self.after[cells[-1], action]))
         return Trajectory(np.array(cells), taken)
 
+    def trajectory(self, steps: Sequence[tuple[Cell, int]]) -> Trajectory:
+        """Return the trajectory of T >= 1 recorded pairs (cell before the action, action).
+
+        Raises:
+            ValueError: If a cell is not free or an action does not lead to the next cell.
+        """
+        try:
+            pairs = [(cell, action) for cell, action in steps]
+        except (TypeError, ValueError) as error:
+            got = shown(steps)
+            raise ValueError(f"steps must be pairs of a cell and an action; got {got}") from error
+        if not pairs:
+            raise ValueError("a trajectory without steps has no cells; `walk` makes an empty one")
+        made = self.walk(pairs[0][0], (action for _, action in pairs))
+        for t, (cell, _) in enumerate(pairs):
+            if (begun := check_cell(cell)) != (there := self.cell(made.cells[t])):
+                raise ValueError(f"step {t} begins in {begun}, but the moves lead to {there}")
+        return made
+
     def path(self, cells: Sequence[Cell]) -> Trajectory:
         """Return the trajectory through adjacent `cells`; repeated cells are dropped.
 

@@ -134,6 +134,16 @@ def counterfactual(
     return _table(states, columns, measures)
 
 
+def sees(agent: Model, variant: str | Variant, edit: Edit) -> Measure:
+    """Return the measure of whether `edit` changes the observation; it may raise ValueError."""
+
+    def seen(states: np.ndarray) -> np.ndarray:
+        edited = observe(agent, variant, _edited(states, edit))
+        return (observe(agent, variant, states) != edited).any((1, 2, 3))
+
+    return seen
+
+
 def policy_and_value(
     agent: Model, observations: np.ndarray, *, episode: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:

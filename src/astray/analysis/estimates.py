@@ -198,14 +198,17 @@ def minus(one: Estimate, other: Estimate) -> Estimate:
     return Estimate(mean, mean - below, mean + above, agents, levels, agents * levels, min(known))
 
 
-def detectable(agents: int, levels: int, spread: float, *, kinds: int = 1) -> float:
-    """Return the distance from its bound at which a rate of about 1/2 is found with 80 % power.
+def detectable(
+    agents: int, levels: int, spread: float, *, kinds: int = 1, rate: float = 0.5
+) -> float:
+    """Return the distance from its bound at which a rate is detected with 80 % power.
 
     Args:
         agents: Number of trained agents of each kind.
         levels: Number of test levels of each.
         spread: Standard deviation of their true rates.
         kinds: 1, or 2 for the difference of two kinds with pooled spread.
+        rate: Rate near which they are.
 
     Raises:
         ValueError: If a number is of another kind, or out of its range.
@@ -213,9 +216,10 @@ def detectable(agents: int, levels: int, spread: float, *, kinds: int = 1) -> fl
     for name, count in {"agents": agents, "levels": levels, "kinds": kinds}.items():
         bounded(name, count, 1, MOST)
     finite("spread", spread, 0)
+    finite("rate", rate, 0, 1)
     from scipy.special import nctdtrinc  # takes a second to import
 
-    variance = spread**2 + 0.5**2 / levels
+    variance = spread**2 + rate * (1 - rate) / levels
     error = math.sqrt(variance * min(2, kinds) / agents)
     freedom = kinds * (agents - 1) if agents > 1 else levels - 1
     return float(nctdtrinc(freedom, 1 - POWER, quantile(freedom))) * error

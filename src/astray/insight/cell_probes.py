@@ -8,6 +8,7 @@ As the probe sees the channels at one cell alone, it cannot compute what a netwo
 states, such as those of another distribution, `score` tells whether the same is to be read there.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +23,7 @@ from astray.insight.interventions import place
 from astray.insight.probes import FITS, by_level, need_sklearn
 
 MOST = 20_000  # cells that are fitted to; more take long and change little
+Cells = Callable[[np.ndarray], np.ndarray]  # states [N] -> the agent's places [N, 2], (x, y)
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ def at_cells(agent: Model, variant: Variant, values: np.ndarray) -> np.ndarray:
     return values[:, :, rows[:, None], columns]
 
 
-def ahead(states: np.ndarray, world: int) -> np.ndarray:
+def ahead(states: np.ndarray, world: int, cells: Cells | None = None) -> np.ndarray:
     """Return [N, world, world] bool: the cells that the agent steps on later in its episode.
 
     The cell where it is counts only if it comes back to it.
@@ -114,12 +116,15 @@ def ahead(states: np.ndarray, world: int) -> np.ndarray:
     Args:
         states: [N], of whole episodes, as `critic.visit` returns them.
         world: Cells a side.
+        cells: Function of states that returns where the agent is, in cells; None for the states'
+            own x and y.
 
     Raises:
         ValueError: If the states are not of whole episodes.
     """
     begins = beginnings_in(states)
-    x, y = (np.floor(states[axis]).astype(np.int64) for axis in "xy")
+    where = np.stack([states["x"], states["y"]], 1) if cells is None else cells(states)
+    x, y = np.floor(where).astype(np.int64).T
     found = np.zeros((len(states), world, world), bool)
     for t in range(len(states) - 2, -1, -1):
         if not begins[t + 1]:

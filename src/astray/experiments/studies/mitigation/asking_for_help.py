@@ -152,7 +152,7 @@ def find(work: Work) -> Findings:
         areas.filter(granularity="step")
         .group_by("agent", "score")
         .agg(pl.col("area").mean())
-        .sort("area", descending=True)
+        .sort("area", "score", descending=[True, False])
         .group_by("agent", maintain_order=True)
         .first()
     )
