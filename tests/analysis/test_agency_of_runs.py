@@ -162,3 +162,9 @@ def test_episodes_of_a_world_that_tells_its_cells_are_measured():
         assess_policy(Walk("end"), world, world.variant("end"), "end", [1], "Paper")
     with pytest.raises(ValueError, match="'room' has no cells, which this needs: World"):
         play(Walk("end"), rooms.WORLD, rooms.WORLD.variant("end"), [1], world.shifts["end"])
+
+
+def test_an_episode_without_a_step_of_the_agent_has_a_video_of_one_frame():
+    at_end = replace(rooms.WORLD, cells=lambda env: layout(env)._replace(agent=(8, 0)))
+    _, video = assess_policy(Walk("end"), at_end, at_end.variant("anywhere"), "end", range(3))
+    assert len(video()) == 1

@@ -304,7 +304,7 @@ def posterior_video(
     ).frames[:steps]
     growth = measure_online(played.episode, replace(options, goals="accessible"))
     moved = [here != there for here, there in itertools.pairwise(played.cells)]
-    counted = np.append(0, np.cumsum(moved))  # standing still is no step of a trajectory
+    counted = np.cumsum([0, *moved])  # standing still is no step of a trajectory
     world = played.episode.world
     numbers = [world.number(cell) for cell in growth.goals if not isinstance(cell, str)]
     maps = []
