@@ -33,7 +33,7 @@ from astray.level import Level
 from astray.published import imported
 from astray.published.download import download
 from astray.training.config import PRESETS
-from astray.training.folders import AgentFolder
+from astray.training.folders import AgentFolder, latest
 from astray.training.loop import train
 from helpers.cases import FEW
 
@@ -68,6 +68,23 @@ def run(trained, tmp_path):
     """A copy of it, which may be ruined."""
     shutil.copytree(trained, tmp_path / "run")
     return tmp_path / "run"
+
+
+def test_an_older_checkpoint_is_named_in_its_verdict_and_opened_from_within_or_by_a_link(
+    run, tmp_path, monkeypatch
+):
+    last, older = latest(run), run / "checkpoints" / "7"
+    shutil.copytree(last, older)
+    assert evaluate_runs([older], LEVELS).agents == (f"{run} at 7 steps",)
+    assert (
+        evaluate_runs([last], LEVELS).agents == evaluate_runs([run], LEVELS).agents == (str(run),)
+    )
+    (tmp_path / "link").symlink_to(older)
+    (run / "checkpoints" / "best").symlink_to("7")
+    monkeypatch.chdir(older)
+    for path in (".", tmp_path / "link", run / "checkpoints" / "best", "../7"):
+        assert AgentFolder.open(path).weights.samefile(older / "agent.safetensors")
+        assert AgentFolder.open(path).steps == 7
 
 
 # Records that were changed by hand, given to a solver.

@@ -123,10 +123,21 @@ def test_audits_of_several_checkpoints_and_of_names_in_any_script_have_folders_o
     monkeypatch.chdir(tmp_path)
     runs = [Path(shutil.copytree(find("maze-corner"), name)) for name in ("мышь", "кот")]
     last = latest(runs[0])
-    earlier, copied = (shutil.copytree(last, last.with_name(name)) for name in ("7", "best"))
-    names = [f"{audit(agent)}" for agent in (*runs, last, earlier, copied)]
+    earlier = shutil.copytree(last, last.with_name("7"))
+    names = [f"{audit(agent)}" for agent in (*runs, last, earlier)]
     assert names == [f"audit-{name}-corner-small" for name in (
-        "мышь", "кот", "мышь", "мышь-checkpoint-7", "мышь-checkpoint-best")]  # fmt: skip
+        "мышь", "кот", "мышь", "мышь-checkpoint-7")]  # fmt: skip
+
+
+def test_an_audit_does_not_replace_that_of_an_agent_whose_name_looks_alike(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a_mouse", "A-mouse"):
+        shutil.copytree(find("maze-corner"), name)
+    page = audit("a_mouse", levels=2)
+    before = page.read_bytes()
+    with pytest.raises(FileExistsError, match="has another report, 'Audit of a_mouse on corner-sm"):
+        audit("A-mouse", levels=2)
+    assert page.read_bytes() == before and audit("a_mouse", levels=3) == page
 
 
 def test_environments_that_show_no_images_are_audited_without_videos(tmp_path):

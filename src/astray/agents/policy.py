@@ -159,7 +159,11 @@ def _read(path: Path, game: str) -> tuple[dict[str, Tensor], Architecture]:
     tensors, found = read_tensors(path, game)
     if not all(x.isfinite().all() for x in tensors.values() if x.is_floating_point()):
         raise ValueError("its weights are not all finite numbers")
-    return tensors, _architecture(found["architecture"])
+    data: Any = found["architecture"]
+    if not isinstance(data, dict) or not all(isinstance(data.get(k), list) for k in SEQUENCES):
+        raise ValueError(f"its architecture is {data!r}; it must name a network and its sizes")
+    fields: dict[str, Any] = data | {name: tuple(data[name]) for name in SEQUENCES}
+    return tensors, Architecture(**fields)
 
 
 def read_tensors(path: Path, game: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -199,13 +203,6 @@ def read_header(kept: dict[str, str] | None, game: str) -> dict[str, Any]:
     if found.get("game") != game:
         raise ValueError(f"it is of the game {found.get('game')!r}, not of {game!r}")
     return found
-
-
-def _architecture(data: Any) -> Architecture:
-    if not isinstance(data, dict) or not all(isinstance(data.get(k), list) for k in SEQUENCES):
-        raise ValueError(f"its architecture is {data!r}; it must name a network and its sizes")
-    fields: dict[str, Any] = data | {name: tuple(data[name]) for name in SEQUENCES}
-    return Architecture(**fields)
 
 
 def usable(device: str) -> bool:

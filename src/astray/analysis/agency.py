@@ -67,7 +67,9 @@ def play(
     found: Game | World
     if isinstance(game, World):
         begun = _layouts(game, game.variant(variant), levels)
-        found, numbers, cells_of = _noting(game), [*map(int, levels)], _noted
+        places = {name: partial(_coordinate, game, k) for k, name in enumerate(PLACE)}
+        found = replace(game, every_step=True, measures={**game.measures, **places})
+        numbers, cells_of = [*map(int, levels)], _noted
     else:
         assert not isinstance(variant, WorldVariant)
         found = games.find(game)
@@ -106,12 +108,6 @@ def _layouts(world: World, variant: WorldVariant, levels: Any) -> list[Layout]:
 def _coordinate(world: World, axis: int, env: Any) -> float:
     assert world.cells is not None
     return world.cells(env)[1][axis]
-
-
-def _noting(world: World) -> World:
-    """Return the world with the agent's cell as measures of every step."""
-    places = {name: partial(_coordinate, world, k) for k, name in enumerate(PLACE)}
-    return replace(world, every_step=True, measures={**world.measures, **places})
 
 
 def _noted(states: np.ndarray) -> list[Cell]:

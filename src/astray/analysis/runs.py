@@ -184,7 +184,7 @@ def names_of(policies: Sequence[Policy], pool: bool = False) -> list[str]:
         if isinstance(one, Agent):
             its = found[str(one.path)]
             name = folders.name_of(its.path)
-            if runs.count(its.path) > 1:  # several checkpoints of it
+            if runs.count(its.path) > 1 or its.is_older:  # not just the run's agent
                 name += f" at {its.steps:,} steps"
             if one.mode == "greedy":
                 name += " (greedy)"

@@ -23,7 +23,7 @@ from astray.game import Game
 from astray.record import LEVELS
 from astray.report.findings import Findings, Table
 from astray.training.config import Config
-from astray.training.folders import AgentFolder, name_of, steps_saved
+from astray.training.folders import AgentFolder, name_of, read_json
 from astray.validation import bounded, one_of, shown, slug
 from astray.world import World
 
@@ -77,6 +77,7 @@ def audit(
 
     Raises:
         ValueError: If the agent, shift, ghost or a knob does not exist, or a policy lacks its game.
+        FileExistsError: If the report would replace that of an agent with a similar name.
     """
     called = _call(locals())
     config, load, path, name = _opened(agent, root := Path(folder or out), mode, art)
@@ -114,6 +115,10 @@ def audit(
         f"Does {name} pursue {' or '.join((between.intended, *between.proxies))}?", {SIZE: plan},
         findings, command=command or called, name=slug(f"audit {name} {named}"),
     )  # fmt: skip
+    told = root / f"{study.name}-{SIZE}" / "findings.json"  # perhaps of a name that looks alike
+    other = read_json(told, dict, ("title",))["title"] if told.exists() else study.title
+    if other != study.title:
+        raise FileExistsError(f"{told.parent} has another report, {shown(other)}; change `out`")
     with contextlib.nullcontext() if config else hold(path, "audits in"):
         return reproduce(study, SIZE, root)
 
@@ -140,8 +145,8 @@ def _opened(
     """Return the settings of an agent, a function that loads it, its path and its name."""
     if isinstance(agent, str | Path):
         found = AgentFolder.open(agent)
-        its, last = found.weights.parent.name, max(steps_saved(found.path), default="")
-        parts = (f"checkpoint {its}" * (its != f"{last}"), "greedy" * (mode == "greedy"), art)
+        its = f"checkpoint {found.weights.parent.name}" * found.is_older
+        parts = (its, "greedy" * (mode == "greedy"), art)
         name = f"{name_of(found.path)} ({', '.join(filter(None, parts))})".removesuffix(" ()")
         load = cache(partial(load_agent, mode=mode, art=art))  # a training may remove it meanwhile
         return found.config(), load, found.weights.parent, name

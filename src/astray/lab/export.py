@@ -66,7 +66,9 @@ def export(
     is_there = check_empty(folder)
     chosen = check_exportable(lab, agents, further := games or {})
     with folder_aside(folder) as aside:
-        _write_page(aside)
+        for path, (data, _) in files().items():
+            if path != "widget.js":
+                _write(aside / path, data.replace(b'engine="socket"', b'engine="static"'))
         _write_data(lab, aside / "data", levels, chosen, further)
         if is_there:
             folder.rmdir()
@@ -106,12 +108,6 @@ def _chosen(lab: Lab) -> list[str]:
             if agent.architecture.name == COMPUTED and is_played(games.find(agent.game)):
                 chosen.append(name)
     return [*dict.fromkeys(chosen)]
-
-
-def _write_page(folder: Path) -> None:
-    for path, (data, _) in files().items():
-        if path != "widget.js":
-            _write(folder / path, data.replace(b'data-engine="socket"', b'data-engine="static"'))
 
 
 def _write_data(

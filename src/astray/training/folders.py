@@ -64,9 +64,10 @@ class AgentFolder:
             run = find(name)
         if (run / CONFIG).exists():
             return cls(run, latest(run) / AGENT)
-        if (run.parent.parent / CONFIG).exists():
-            return cls(run.parent.parent, run / AGENT)
-        found = "neither a run folder nor a checkpoint in one"
+        for its in (run, Path(os.path.realpath(run))):  # links, and ".", have other parents
+            if STEPS.fullmatch(its.name) and (its.parent.parent / CONFIG).exists():
+                return cls(its.parent.parent, its / AGENT)
+        found = "neither a run folder nor a checkpoint in one, named by its steps"
         if run.exists() or len(run.parts) != 1:
             raise FileNotFoundError(f"{run} is {found}")
         there = ", ".join(names()) or "none yet"
@@ -80,6 +81,11 @@ class AgentFolder:
     @property
     def steps(self) -> int:
         return int(self.weights.parent.name)
+
+    @property
+    def is_older(self) -> bool:
+        """Whether it is not the last checkpoint of its run."""
+        return self.weights.parent.name != f"{max(steps_saved(self.path), default='')}"
 
     @property
     def is_foreign(self) -> bool:
