@@ -218,6 +218,35 @@ class Forgetful(Recurrent):
         return torch.zeros(1, 2), torch.zeros(len(state)), state
 
 
+class Counting(Recurrent):
+    """It counts steps, goes left at every third, and clears no memory; it may say what begins."""
+
+    memory = 1
+
+    def __init__(self, tells=False):
+        super().__init__()
+        self.tells = tells
+
+    def recall(self, observation, state, begins):
+        left = (state[:, 0] % 3 == 2).float() * 99
+        logits = torch.stack([left, torch.full_like(left, 9)], 1) + self.tells * begins[:, None]
+        return logits, state[:, 0], state + 1
+
+
+@pytest.mark.parametrize("batch", [1, 4])
+def test_no_episode_begins_with_the_memory_of_another(batch):
+    network = Network(Counting(), SPACE, mode="greedy")
+    for taken in played(network, batch):
+        assert taken == [int(step % 3 != 2) for step in range(len(taken))]
+
+
+def test_a_network_is_told_that_an_episode_begins_where_it_is_asked_along_one():
+    network = Network(Counting(tells=True), SPACE)
+    seen = np.zeros((4, *SPACE.shape), np.float32)
+    told = network.outputs(seen, episode=True)[0][:, 1]
+    assert told.tolist() == [10, 9, 9, 9]
+
+
 class Bare(Function):
     """It returns actions without an `Answer`."""
 

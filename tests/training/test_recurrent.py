@@ -264,7 +264,14 @@ class Keeps(Own):
         return logits * self.kept, value, state
 
 
-@pytest.mark.parametrize("network", [Onward, Keeps])
+class Drags(Own):
+    """Does not notice that an episode begins."""
+
+    def recall(self, observation, state, begins):
+        return super().recall(observation, state, begins & False)
+
+
+@pytest.mark.parametrize("network", [Onward, Keeps, Drags])
 def test_a_network_that_learns_from_other_memories_than_it_acts_by_is_refused(network):
     with pytest.raises(ValueError, match="must say the same step by step, in recall, and of"):
         next(loop.iterate(CONFIG, network=network))

@@ -81,12 +81,16 @@ def constant(network, batch, config):
     return {"loss": torch.zeros(())}
 
 
+def without_weights(network, batch, config):
+    return {"loss": torch.zeros((), requires_grad=True)}
+
+
 def unnamed(network, batch, config):
     return {"policy": ppo.loss(network, batch, config)["loss"]}
 
 
 @pytest.mark.filterwarnings("ignore:training runs")
-@pytest.mark.parametrize("loss", [nothing, constant, unnamed])
+@pytest.mark.parametrize("loss", [nothing, constant, without_weights, unnamed])
 def test_a_loss_that_returns_something_else_is_refused(tmp_path, loss):
     with pytest.raises(ValueError, match="a loss must return tensors of one number by name"):
         train(TINY, tmp_path, loss=loss, progress=False)

@@ -27,7 +27,7 @@ class Recurrent(nn.Module):
             state: Their previous states, [N, memory] float32.
             begins: [N] bool, whether this is the first step; the state then counts as 0.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} must define recall")
 
     def unroll(
         self, observation: Tensor, state: Tensor, begins: Tensor

@@ -55,9 +55,8 @@ def recalled(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the logits [N, A] of a network with memory in a turn, and its new states."""
     shown, begins = (torch.from_numpy(x).to(device) for x in (turn.observations, turn.begins))
-    state = turn.memory
-    if state is None:
-        state = torch.zeros((len(shown), network.memory), device=device)
+    none = torch.zeros((len(shown), network.memory), device=device)
+    state = none if turn.memory is None else torch.where(begins[:, None], none, turn.memory)
     logits, _, state = policy.outputs(network.recall, shown, chunk, state, begins)
     return logits, state
 
@@ -67,7 +66,7 @@ def in_order(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return logits [T, A] and values [T] of a network with memory along one episode."""
     seen = torch.from_numpy(observations).to(device)[:, None]
-    begins = torch.zeros((len(seen), 1), dtype=torch.bool, device=device)
+    begins = torch.arange(len(seen), device=device)[:, None] == 0
     state = torch.zeros((1, network.memory), device=device)
     with torch.no_grad():
         logits, values, _ = network.unroll(seen, state, begins)

@@ -74,14 +74,14 @@ def check_recalled(network: nn.Module, samples: Sequences) -> None:
     _, _, state = network.recall(shown[0], samples.state, samples.begins[0])
     steps, places = (torch.arange(n, device=state.device) for n in shown.shape[:2])
     begins = (steps[:, None] + places) % 3 == 2
-    acted = Recurrent.unroll(network, shown, state, begins)
+    acted = Recurrent.unroll(network, shown, state * ~begins[0, :, None], begins)
     learned = network.unroll(shown, state, begins)
     for then, now in zip(acted[:2], learned[:2], strict=True):
         if (apart := _size(now - then)) > APART * then.std() + ROUNDED * _size(then):
             raise ValueError(
                 f"a network with memory must say the same step by step, in recall, and of a whole "
-                f"sequence, in unroll; what {type(network).__name__} says differs by "
-                f"{float(apart / _size(then)):.2g} of its size"
+                f"sequence, in unroll, and forget where `begins`; what {type(network).__name__} "
+                f"says differs by {float(apart / _size(then)):.2g} of its size"
             )
 
 
@@ -94,7 +94,7 @@ def check_losses(losses: Any) -> None:
     """Raise ValueError unless a custom loss returns a differentiable "loss"."""
     parts = losses.values() if isinstance(losses, Mapping) else [None]
     are_numbers = all(isinstance(part, Tensor) and not part.shape for part in parts)
-    if not are_numbers or "loss" not in losses or not losses["loss"].requires_grad:
+    if not are_numbers or "loss" not in losses or losses["loss"].grad_fn is None:
         raise ValueError(
             "a loss must return tensors of one number by name, with 'loss' among them, which the "
             f"weights decide; got {shown(losses)}"
