@@ -293,11 +293,11 @@ def check_repeats(world: World, variant: WorldVariant, level: int, steps: int = 
 def _played(world: World, variant: WorldVariant, level: int, steps: int) -> list[Any]:
     """Play random actions, watched as an evaluation: an environment may hang or its process die."""
     env = WorldVectorEnv(world, variant, 1)
-    env.single_action_space.seed(level)
+    (space := deepcopy(env.single_action_space)).seed(level)  # it may be the class's
     with contextlib.closing(env):
         told: list[Any] = [deepcopy(env.reset(options={"level": [level]})[0])]
         for _ in range(steps):
-            action = np.array([env.single_action_space.sample()])
+            action = np.array([space.sample()])
             taken = env.step(action)[:4]
             told.append(deepcopy((*taken, env.get_state().tobytes())))  # equal NaNs are equal bytes
             if env.states["ended"][0]:
