@@ -52,6 +52,17 @@ def test_a_link_that_cannot_be_opened_says_so_and_shows_no_other_agent(
     assert problem.is_visible() == bool(said) and said in problem.text_content()
 
 
+DRAWN_AS_ANY = """async (names) => {
+  const { lookOf } = await import(new URL("games/looks.js", location.href));
+  return names.filter((name) => lookOf(name) === lookOf("chess") && !lab.pictures[name]);
+}"""
+
+
+def test_a_game_may_have_the_name_of_what_every_object_has(page):
+    names = ["constructor", "valueOf", "__proto__", "chess"]
+    assert page.evaluate(DRAWN_AS_ANY, names) == names
+
+
 MAZE, POTTERY = ("game=maze&variant=anywhere-small&agent=maze-corner&level=17",
                  "game=pottery&variant=anywhere&agent=&level=3")  # fmt: skip
 FOLLOWED = "(hash) => { location.hash = hash; }"

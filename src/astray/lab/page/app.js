@@ -23,7 +23,7 @@ export class Lab {
     this.fields = new Map(); // "x,y" -> {cell, policy, value}
     this.others = new Map(); // also, of what is compared with
     this.splay = new Map();
-    Object.assign(this, { past: [], future: [], pictures: {}, now: 0 });
+    Object.assign(this, { past: [], future: [], pictures: { __proto__: null }, now: 0 });
     this.stage = new Stage(this);
     this.panels = new Panels(this);
     this.editor = new Editor(this);

@@ -6,6 +6,6 @@ import { look as heist } from "./heist.js";
 import { look as keys } from "./keys.js";
 import { look as maze } from "./maze.js";
 
-const LOOKS = { coinrun, heist, keys, maze };
+const LOOKS = { __proto__: null, coinrun, heist, keys, maze };
 
 export const lookOf = (game) => LOOKS[game] ?? any;
