@@ -20,7 +20,6 @@ from astray.training.levels import (
     Plan,
     Played,
     discounted_returns,
-    fraction_at,
     positive_value_loss,
 )
 from astray.training.loop import collect, play, train
@@ -91,9 +90,15 @@ def test_levels_are_drawn_one_after_the_other_by_their_chances():
 
 
 @pytest.mark.parametrize("schedule", ["throughout", "early", "late", "annealed"])
-def test_every_schedule_comes_to_the_same_fraction(schedule):
-    progress = (np.arange(1000) + 0.5) / 1000
-    assert np.mean([fraction_at(schedule, 0.1, x) for x in progress]) == pytest.approx(0.1)
+@pytest.mark.parametrize("rollouts", [1, 7, 30.5])
+@pytest.mark.parametrize("fraction", [0.01, 0.25])
+def test_every_schedule_comes_to_its_fraction_also_in_few_rollouts(schedule, fraction, rollouts):
+    config = MIXED.changed(schedule=schedule, fraction=fraction, steps=int(rollouts * 256))
+    sampler, shifted = Mixed(config), 0.0
+    for steps in range(0, config.steps, config.batch):
+        sampler.plan(steps)
+        shifted += sampler.now * min(config.batch, config.steps - steps)
+    assert shifted / config.steps == pytest.approx(fraction)
 
 
 def test_mixed_levels_are_shifted_with_the_fraction_and_are_the_variants_own_numbers():
@@ -108,8 +113,9 @@ def test_mixed_levels_are_shifted_with_the_fraction_and_are_the_variants_own_num
 def test_early_levels_are_shifted_first_and_late_ones_last():
     fractions = {}
     for schedule in ("early", "late"):
-        sampler = Mixed(MIXED.changed(schedule=schedule))
-        for steps in (0, MIXED.steps // 2, MIXED.steps - 1):
+        config = MIXED.changed(schedule=schedule, steps=40 * 256)
+        sampler = Mixed(config)
+        for steps in (0, config.steps // 2, config.steps - config.batch):
             sampler.plan(steps)
             numbers = sampler.next(np.arange(16))
             shifted = np.mean([fraction_of(number, SHIFT) < 0.2 for number in numbers])
@@ -204,7 +210,7 @@ def test_what_scores_higher_takes_the_place_of_what_is_replayed_least():
     sampler._insert(np.stack([score, score, score]))
     assert sorted(sampler.score) == [2, 3, 4, 5, 6, 7, 8, 9, 9.5, 10, 11, 12, 13, 14, 15, 99]
     assert sorted(set(sampler.states["level"]) - set(before)) == [500_000, 500_002]
-    sampler._insert(score + 100, score, score)  # the same numbers are there already
+    sampler._insert(np.stack([score + 100, score, score]))  # the same numbers are there already
     assert (sampler.states["level"] == 500_002).sum() == 1
 
 

@@ -142,20 +142,11 @@ def positive_value_loss(advantage: np.ndarray) -> np.ndarray:
     return np.maximum(advantage, 0).mean(0, dtype=np.float64)
 
 
-def fraction_at(schedule: Schedule, fraction: float, progress: float) -> float:
-    """Return the fraction of shifted levels at `progress`, 0 to 1, of a training.
-
-    Over the whole training its mean is `fraction`, for every schedule.
-    """
-    if schedule == "early":
-        return float(progress < fraction)
-    if schedule == "late":
-        return float(progress >= 1 - fraction)
-    return 2 * fraction * (1 - progress) if schedule == "annealed" else fraction
-
-
 def part_at(schedule: Schedule, fraction: float, progress: float) -> float:
-    """Return the fraction of shifted levels begun by `progress`, the integral of `fraction_at`."""
+    """Return the part of the shifted levels begun by `progress`, 0 to 1, of a training.
+
+    Early and late they fill the `fraction` of the training; annealed, they get fewer to its end.
+    """
     if schedule == "early":
         return min(progress / fraction, 1.0)
     if schedule == "late":
@@ -211,13 +202,13 @@ class Mixed:
         self.inside: list[list[bool]] = [[False] for _ in range(config.num_envs)]
 
     def plan(self, steps: int) -> Plan:
-        config = self.config
-        if self.dose is None:
-            self.now = fraction_at(config.sampler.schedule, self.fraction, steps / config.steps)
-        else:
-            progress = min((steps + config.batch) / config.steps, 1.0)
-            part = part_at(config.sampler.schedule, self.fraction, progress)
-            self.due = round(part * self.dose)
+        config, schedule = self.config, self.config.sampler.schedule
+        now, then = steps / config.steps, min((steps + config.batch) / config.steps, 1.0)
+        if self.dose is not None:
+            self.due = round(part_at(schedule, self.fraction, then) * self.dose)
+        elif self.fraction and now < 1:  # the mean over the rollout, which may be partly early
+            parts = [part_at(schedule, self.fraction, progress) for progress in (now, then)]
+            self.now = self.fraction * (parts[1] - parts[0]) / (then - now)
         return Plan(restart=not self.begun[0])
 
     def next(self, places: np.ndarray) -> np.ndarray:
