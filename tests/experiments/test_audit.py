@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 
 from astray.analysis.adapters import Function
+from astray.analysis.runs import evaluate_policies
 from astray.experiments.audit import FIRST, audit
 from astray.report.page import code
 from astray.training.folders import find, latest
@@ -35,6 +36,18 @@ def test_an_audit_tells_what_a_policy_of_ones_own_pursues(tmp_path):
     assert told["square"] == pytest.approx(by_hand)
     assert f"minus the same levels of end: square {100 * by_hand:.1f}\u00a0%" in text
     assert "random" in pl.read_parquet(page.parent / "tables" / "outcomes.parquet")["policy"]
+
+
+@pytest.mark.parametrize("agent", [None, 5, go_right])
+def test_an_audit_of_something_else_than_an_agent_is_refused(agent, tmp_path):
+    with pytest.raises(ValueError, match="a policy must have name, observation, art, actions"):
+        audit(agent, WORLD, "end", out=tmp_path)
+    assert not [*tmp_path.iterdir()]
+
+
+def test_policies_that_are_to_play_no_level_of_a_world_are_refused():
+    with pytest.raises(ValueError, match="levels are numbers, at least one"):
+        evaluate_policies([RIGHT], WORLD, "end", range(0))
 
 
 def test_an_audit_tells_the_returns_of_further_rewards(astray, tmp_path):

@@ -330,7 +330,7 @@ def play_all(
         raise ValueError(f"policies must have names of their own; got {', '.join(called)}")
     check_ending(game, variant, longest)
     if isinstance(game, World) and isinstance(variant, WorldVariant) and game.repeats:
-        check_repeats(game, variant, int(next(iter(levels))))
+        check_repeats(game, variant, int(next(iter(levels), 0)))  # none is told below
     how: Any = {"batch": batch, "measures": measures, "rewards": rewards}
     rehearse(policies if trial else (), game, variant, levels, **how)
     parts = []

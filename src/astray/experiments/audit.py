@@ -11,7 +11,7 @@ from typing import Any
 import polars as pl
 
 from astray import world
-from astray.acting import Policy, Reward
+from astray.acting import Policy, Reward, check_policy
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import amounts, load_shift, matrix
 from astray.analysis.runs import LEVELS_PLAYED, Mode, load_agent, rated, shift_of
@@ -150,6 +150,7 @@ def _opened(
         name = f"{name_of(found.path)} ({', '.join(filter(None, parts))})".removesuffix(" ()")
         load = cache(partial(load_agent, mode=mode, art=art))  # a training may remove it meanwhile
         return found.config(), load, found.weights.parent, name
+    check_policy(agent)
     # Nobody knows what such a policy depends on: with a new path, no table of another is reused.
     place = aside_of(root / "agents" / f"audit-{agent.name}")
     return None, lambda path: agent, place, agent.name
