@@ -62,6 +62,33 @@ def test_rare_failures_are_covered_too():
         assert 0.9 <= covered(agents, 5.0, SMALL, 0.0, 0) <= 0.995
 
 
+@pytest.mark.parametrize(
+    "counts", [(1000, 30), (1000, 100, 100, 100, 100), (500, 200, 100), (1000, 1000, 1000, 10)]
+)
+def test_intervals_hold_the_truth_where_one_agent_has_most_of_the_episodes(counts):
+    """Its mean is nearly that of all: as if agents hardly differed (54 to 90 of 100 held it)."""
+    agents, random = len(counts), np.random.default_rng(counts)
+    weights = np.array(
+        [[(count + LEVELS - 1 - at) // LEVELS for at in range(LEVELS)] for count in counts]
+    )
+    for middle, spread in itertools.product((HALF, NEARLY_ALL), (SMALL, LARGE)):
+        chance = expit(middle + random.normal(0, spread, (TIMES, agents, 1)))
+        sums = random.binomial(weights, np.broadcast_to(chance, (TIMES, *weights.shape)))
+        truth = expected(middle, spread)
+        found = [estimate_mean(one, weights, rate=True) for one in sums]
+        held = np.mean([one.low <= truth <= one.high for one in found])
+        assert held >= 0.92, (middle, spread, held)
+
+
+def test_an_agent_without_weight_says_nothing():
+    random = np.random.default_rng(3)
+    weights = random.integers(1, 9, (4, 20))
+    values = random.binomial(weights, 0.7)
+    nobody = np.zeros((1, 20), int)
+    found = estimate_mean(np.vstack([values, nobody]), np.vstack([weights, nobody]), rate=True)
+    assert found == estimate_mean(values, weights, rate=True)
+
+
 @pytest.mark.parametrize("agents", [2, 3, 5, 8])
 def test_differences_of_kinds_hold_the_truth_as_often_as_they_say(agents):
     for middle, spread, pooled in itertools.product((HALF, 2.5), (SMALL, LARGE), (False, True)):

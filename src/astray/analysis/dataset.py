@@ -81,14 +81,9 @@ def trajectories(
     parts: dict[int, list[tuple]] = {}
     for step in steps(policy, game, variant, levels, batch=batch, longest=longest):
         for i, level in enumerate(step.level.tolist()):
-            parts.setdefault(level, []).append(
-                (
-                    step.observations[i].copy(),
-                    step.before[i].copy(),
-                    np.array(step.actions[i]),
-                    float(step.rewards[i]),
-                )
-            )
+            kept = step.observations[i].copy(), step.before[i].copy()
+            done = np.array(step.actions[i]), float(step.rewards[i])
+            parts.setdefault(level, []).append((*kept, *done))
             if not step.ended[i]:
                 continue
             seen, before, actions, rewards = zip(*parts.pop(level), strict=True)
@@ -179,48 +174,35 @@ def write_parquet(
             rows, size, files = [], 0, files + 1
     if rows:
         write_table(pl.concat(rows), folder / "steps" / f"{files:05}.parquet")
-    kinds = dict.fromkeys(game.events, pl.Int64)
-    write_table(
-        pl.DataFrame(episodes, schema_overrides=kinds).sort("level"), folder / "episodes.parquet"
-    )
+    table = pl.DataFrame(episodes, schema_overrides=dict.fromkeys(game.events, pl.Int64))
+    write_table(table.sort("level"), folder / "episodes.parquet")
     data = {**about, "shape": shape, "dtype": kind}
     write_aside(folder / "dataset.json", json.dumps(data, indent=1).encode())
 
 
 def _episode(one: Trajectory, game: Game) -> dict[str, Any]:
+    told = {"level": one.level, "return": float(one.rewards.sum())}
+    told |= {"length": len(one), "terminated": one.terminated}
     last = one.states[-1]
-    happened = {event: int(last[event]) if last[event] >= 0 else None for event in game.events}
-    return {
-        "level": one.level,
-        "return": float(one.rewards.sum()),
-        "length": len(one),
-        "terminated": one.terminated,
-        **happened,
-    }
+    return told | {event: int(last[event]) if last[event] >= 0 else None for event in game.events}
 
 
 def _rows(one: Trajectory) -> pl.DataFrame:
     """Return a row for each state; action and results are null in the last one."""
-    count = len(one)
-    ended = [False] * (count - 1)
+    count, number = len(one), pl.Float64 if one.actions.dtype.kind == "f" else pl.Int64
+    kind = number if one.actions.ndim == 1 else pl.List(number)
     return pl.DataFrame(
         {
             "level": pl.Series([one.level] * (count + 1), dtype=pl.Int64),
             "step": pl.Series(range(count + 1), dtype=pl.Int32),
-            "action": pl.Series([*one.actions.tolist(), None], dtype=_kind(one.actions)),
+            "action": pl.Series([*one.actions.tolist(), None], dtype=kind),
             "reward": pl.Series([*one.rewards.tolist(), None], dtype=pl.Float64),
-            "terminated": [*ended, one.terminated, None],
-            "truncated": [*ended, not one.terminated, None],
+            "terminated": [*_last(count, one.terminated), None],
+            "truncated": [*_last(count, not one.terminated), None],
             "observation": [x.tobytes() for x in one.observations],
             "state": [x.tobytes() for x in one.states],
         }
     )
-
-
-def _kind(actions: np.ndarray) -> Any:
-    """Return the column's type: a number, or several in a list."""
-    kind = pl.Float64 if actions.dtype.kind == "f" else pl.Int64
-    return kind if actions.ndim == 1 else pl.List(kind)
 
 
 def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Trajectory]:

@@ -5,7 +5,8 @@ Two things vary by chance: an agent differs from others in all levels, and a lev
 agents. The interval is for the mean over all agents that the training could give, in all levels of
 the variant. Its half-width has one part for each; their squares add up (Banerjee 1961):
 
-    agents  Student's t with agents - 1 degrees of freedom, times the standard error of their means
+    agents  Student's t with agents - 1 degrees of freedom (fewer where one has most of the weight),
+            times the standard error of their means
     levels  Student's t (from 30 levels on the normal quantile) times the levels' fraction of the
             standard error, from the variance component that an analysis of variance estimates
 
@@ -81,8 +82,10 @@ def estimate_mean(
     """
     rate = _is_rate(values) if rate is None else rate
     values, weights = _checked(values, weights)
-    agents, levels = values.shape
     total = float(weights.sum())
+    if total:  # an agent without weight says nothing
+        values, weights = (each[weights.any(1)] for each in (values, weights))
+    agents, levels = values.shape
     if not total or not all(np.isfinite(one).all() for one in (values, *pool)):
         return Estimate(math.nan, math.nan, math.nan, agents, levels, values.size)
     mean = float(values.sum() / total)
@@ -92,7 +95,8 @@ def estimate_mean(
     among = _among_levels(rest)
     if agents == 1 and rate:
         among = float(rest.var()) / levels  # in units of p (1 - p), as Wilson's
-    between, freedom = _between_agents(rest, pool, mean if rate else None)
+    fractions = weights.sum(1) / total
+    between, freedom = _between_agents(rest, pool, mean if rate else None, fractions)
     of_levels = _of_levels(agents, levels, rate)
     one_trial = rate and levels == 1  # of each agent: the mean determines the variance
     widest = of_levels if agents == 1 or one_trial else quantile(freedom)
@@ -275,7 +279,10 @@ def _among_levels(rest: np.ndarray) -> float:
 
 
 def _between_agents(
-    rest: np.ndarray, pool: Sequence[np.ndarray], rate: float | None
+    rest: np.ndarray,
+    pool: Sequence[np.ndarray],
+    rate: float | None,
+    fractions: np.ndarray | None = None,
 ) -> tuple[float, float]:
     """Return the variance of the mean over agents, and its degrees of freedom.
 
@@ -284,6 +291,9 @@ def _between_agents(
 
     Args:
         rate: The estimated rate; None if the mean is not a rate.
+        fractions: Of the weight, each agent's; None if they are equal. An agent with most of it
+            draws the mean to itself, so the variance is the jackknife's, and its degrees of freedom
+            are those of the quadratic form that it is (Bell and McCaffrey 2002).
     """
 
     def unit(rate: float | None, count: int) -> float:
@@ -294,7 +304,14 @@ def _between_agents(
 
     if (agents := len(rest)) == 1:
         return 0.0, math.inf
-    variance, freedom = float(rest.mean(1).var(ddof=1)), agents - 1
+    freedom = agents - 1
+    if fractions is not None and np.ptp(fractions):
+        without = (1 - 1 / agents) / (1 - fractions)
+        rest = rest * without[:, None]
+        form = (agents * without * fractions)[:, None] * (np.eye(agents) - fractions)
+        form = (form - form.mean(0)).T @ (form - form.mean(0))
+        freedom = float(np.trace(form) ** 2 / (form**2).sum())
+    variance = float(rest.mean(1).var(ddof=1))
     kinds = (np.atleast_2d(np.asarray(kind, float)) for kind in pool)
     if several := [kind for kind in kinds if len(kind) > 1]:
         freedom = sum(len(kind) - 1 for kind in several)
