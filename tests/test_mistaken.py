@@ -53,6 +53,13 @@ PLAYED = pl.DataFrame({"policy": "a", "variant": "b", "level": 0, "outcome": "di
 MASKED = np.ma.masked_array([1, 2], [True, False])
 
 
+EVENT = "reached_corner"
+
+
+def measure_of(values):
+    return evaluate(Random(), "maze", SMALL, [1, 2], measures={"m": lambda states: values})
+
+
 def small(**options):
     return GameVectorEnv("maze", "corner-small", 2, observation="symbolic", **options)
 
@@ -129,6 +136,14 @@ def test_a_number_or_a_fact_of_another_type_is_refused(wrong, message):
         (lambda: finite("k", np.timedelta64(3)), "k must be a finite number; got"),
         (lambda: finite("k", False), "k must be a finite number; got False"),
         (lambda: evaluate(Random(), "maze", SMALL, MASKED), "levels must be integers of .*masked"),
+        (
+            lambda: evaluate(Random(), "maze", SMALL, [1], until=5),
+            "until must be a tuple or list; got",
+        ),
+        (lambda: evaluate(Random(), "maze", SMALL, [1], until=EVENT), "until must be a tuple or"),
+        (lambda: measure_of([1, "two"]), r"'m' must return 2 values of one type; got \[1, 'two'\]"),
+        (lambda: measure_of(np.zeros(2, complex)), "'m' must return 2 values of one type"),
+        (lambda: measure_of([1]), "'m' must return 2 values of one type"),
         (lambda: small(levels=MASKED), "levels must be integers of .*masked"),
         (lambda: Episode(3, WALK.trajectory), "world must be a World; got 3"),
         (lambda: ROOM.path(3), "cells must be a Iterable; got 3"),

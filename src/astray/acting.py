@@ -256,6 +256,7 @@ class LevelByLevel:
         longest: int | None = None,
     ):
         """Begin the first of `levels`; `steps` describes the arguments."""
+        of_kind("until", until, tuple | list)
         for event in until:
             one_of("event", event, env.game.events, of=env.game.name)
         self._option, self._levels = beginnings(levels, env.game.state)

@@ -61,7 +61,7 @@ def _check_regular(path: Path, found: os.stat_result, most: int) -> None:
 
 def check_writable(path: Path) -> None:
     """Raise OSError unless a file of `ROOM` bytes can be written; change nothing."""
-    _check_replaceable(path)
+    check_own(path)
     with folder_aside(path, path.parent) as aside:
         write_aside(aside / path.name, bytes(ROOM))
 
@@ -88,7 +88,7 @@ def remove_made(folders: Iterable[Path]) -> None:
             folder.rmdir()
 
 
-def _check_replaceable(path: Path) -> None:
+def check_own(path: Path) -> None:
     """Raise OSError if `path` is anything but a file: a file would replace it."""
     if path.is_symlink():  # as /dev/stdout, or what leads to the user's other disk
         raise OSError(f"{path} must be a file to write; it is a link")
@@ -111,7 +111,7 @@ def write_aside(path: Path, data: bytes) -> None:
             /dev/null, and for anyone a link.
     """
     path = Path(path)
-    _check_replaceable(path)
+    check_own(path)
     made, aside = make_folder(path.parent), aside_of(path)
     try:
         with open(aside, "xb") as file:
@@ -169,7 +169,7 @@ def files_aside(folder: Path, mark: str, sign: bytes) -> Iterator[Path]:
         there = (path for path in aside.rglob("*") if path.is_file())
         files = [path.relative_to(aside) for path in there if path != aside / LOCK]
         for name in files:
-            _check_replaceable(folder / name)
+            check_own(folder / name)
         for name in sorted(files, key=lambda name: name != Path(mark)):  # whose files these are
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(aside / name, folder / name)
@@ -217,12 +217,6 @@ def holds_only(folder: Path, names: Collection[str]) -> bool:
     )
 
 
-def check_own(path: Path) -> None:
-    """Raise OSError if `path` is a link or not a regular file."""
-    if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
-        raise OSError(f"{path} must be a file; it is a link, a folder, a pipe or a device")
-
-
 def check_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> None:
     """Raise OSError if `folder` holds files of these `names` but is not one of astray's folders.
 
@@ -230,8 +224,8 @@ def check_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> 
         mark: Name of the file that marks a folder of astray's.
         sign: Contents that only astray writes to that file.
     """
-    if os.path.lexists(folder / mark):
-        check_own(folder / mark)
+    check_own(folder / mark)
+    if (folder / mark).exists():
         if sign not in read(folder / mark):
             raise OSError(f"{folder / mark} was not written by astray; it would be replaced")
         inside = (path for name in names for path in (folder / name).glob("**/*"))

@@ -10,7 +10,7 @@ from typing import Any
 from astray.files import read
 from astray.game import Game, Variant
 from astray.level import Level
-from astray.validation import of_kind
+from astray.validation import path_of
 
 SPACE = re.compile(r"\s*")
 COMMENT = ";"  # prefix of comment lines in drawings
@@ -29,8 +29,7 @@ def read_levels(
         FileNotFoundError: If there is nothing at `path`.
         ValueError: If a level is invalid, or there are none.
     """
-    of_kind("path", path, str | Path)
-    path = Path(path)
+    path = path_of("path", path)
     if path.is_dir():
         return _read_folder(path, game, variant, solvable)
     try:

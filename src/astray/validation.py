@@ -2,12 +2,14 @@
 
 import itertools
 import math
+import os
 import re
 import reprlib
 import shlex
 import sys
 import typing
 from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -40,6 +42,13 @@ def of_kind(name: str, given: Any, kind: Any) -> None:
         words = " or ".join(k.__name__ for k in getattr(kind, "__args__", (kind,)))
         words = words.replace("Callable", "function").replace("NoneType", "None")
         raise ValueError(f"{name} must be a {words}; got {shown(given)}")
+
+
+def path_of(name: str, given: Any) -> Path:
+    """Return the argument `name` as a path; raise ValueError unless it is one: "" names nothing."""
+    if not isinstance(given, str | os.PathLike) or not f"{given}" or "\0" in f"{given}":
+        raise ValueError(f"{name} must be the path of a file or folder; got {shown(given)}")
+    return Path(given)
 
 
 def one_of(kind: str, given: Any, there: Any, of: str = "") -> None:

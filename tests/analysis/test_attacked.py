@@ -201,7 +201,7 @@ def test_a_download_writes_through_no_link(address, tmp_path):
     precious = tmp_path / "precious"
     precious.write_text("mine")
     (tmp_path / "agent.pth.part").symlink_to(precious)
-    with pytest.raises(OSError, match=r"agent\.pth\.part must be a file; it is a link"):
+    with pytest.raises(OSError, match=r"agent\.pth\.part must be a file to write; it is a link"):
         download(address, tmp_path / "agent.pth", size=9, digest="0" * 64)
     assert precious.read_text() == "mine"
 

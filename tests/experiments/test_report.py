@@ -442,7 +442,7 @@ def test_a_table_that_was_cut_short_is_told(tmp_path, monkeypatch):
 def test_a_link_in_the_place_of_a_table_is_told_before_it_is_computed(tmp_path):
     (tmp_path / "computed").mkdir()
     (tmp_path / "computed" / "a.parquet").symlink_to("nowhere")
-    with pytest.raises(OSError, match=r"a.parquet must be a file; it is a link"):
+    with pytest.raises(OSError, match=r"a.parquet must be a file to write; it is a link"):
         spec.cached(tmp_path, "a", Mock(side_effect=AssertionError))
 
 

@@ -19,7 +19,7 @@ def test_a_link_in_the_place_of_a_runs_file_stays(tmp_path, name, target):
     (tmp_path / "mine.txt").write_text("mine")
     link = run / name
     link.symlink_to(link if target == "itself" else tmp_path / target)
-    with pytest.raises(OSError, match=f"{name} must be a file; it is a link"):
+    with pytest.raises(OSError, match=f"{name} must be a file to write; it is a link"):
         train(TINY, run, progress=False)
     assert link.is_symlink() and (tmp_path / "mine.txt").read_text() == "mine"
 

@@ -277,10 +277,58 @@ def test_a_network_that_learns_from_other_memories_than_it_acts_by_is_refused(ne
         next(loop.iterate(CONFIG, network=network))
 
 
+class Shares(Own):
+    """Gives all episodes one memory."""
+
+    def recall(self, observation, state, begins):
+        logits, value, state = super().recall(observation, state, begins)
+        return logits, value, state[:1]
+
+
+class Widens(Own):
+    """Returns a memory of another size."""
+
+    def recall(self, observation, state, begins):
+        logits, value, state = super().recall(observation, state, begins)
+        return logits, value, torch.cat([state, state], 1)
+
+
+class Forgets(Own):
+    """Returns no memory."""
+
+    def recall(self, observation, state, begins):
+        return super().recall(observation, state, begins)[:2]
+
+
+class Empty(Own):
+    memory = 0
+
+
+class Negative(Own):
+    memory = -1
+
+
+@pytest.mark.parametrize("network", [Shares, Widens, Forgets])
+def test_a_memory_of_another_shape_is_refused(network):
+    with pytest.raises(ValueError, match=r"with memory, its state, \[.*, \(16, 1\)\]; got \["):
+        next(loop.iterate(CONFIG, network=network))
+
+
+@pytest.mark.parametrize("network", [Empty, Negative])
+def test_a_memory_without_size_is_refused(network):
+    with pytest.raises(
+        ValueError, match=r"memory of .* must be an integer from 1 to .*; got (0|-1)"
+    ):
+        next(loop.iterate(CONFIG, network=network))
+
+
 @pytest.mark.parametrize(
     "change, said",
     [
-        ({"minibatches": 32, "num_steps": 32}, "16 of 1 processes are not divided by 32"),
+        (
+            {"minibatches": 32, "num_steps": 32},
+            "16 whole environments of 1 processes are not divided by 32",
+        ),
         (
             {"network": "mlp+rnn"},
             r"unknown network 'mlp\+rnn'; there are: .*each but drc with \+gru or",

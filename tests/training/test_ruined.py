@@ -69,7 +69,7 @@ class Alone(OneColumn):
 @pytest.mark.filterwarnings("ignore:training runs")
 @pytest.mark.parametrize("network", [OneColumn, Alone])
 def test_a_network_that_returns_something_else_is_refused(tmp_path, network):
-    with pytest.raises(ValueError, match=r"must return logits \(4, 15\) and values \(4,\); got"):
+    with pytest.raises(ValueError, match=r"must return logits, .*\[\(4, 15\), \(4,\)\]; got"):
         train(TINY, tmp_path, network=network, progress=False)
 
 
@@ -93,6 +93,30 @@ def unnamed(network, batch, config):
 @pytest.mark.parametrize("loss", [nothing, constant, without_weights, unnamed])
 def test_a_loss_that_returns_something_else_is_refused(tmp_path, loss):
     with pytest.raises(ValueError, match="a loss must return tensors of one number by name"):
+        train(TINY, tmp_path, loss=loss, progress=False)
+
+
+CALLS = []
+
+
+def late(network, batch, config):
+    CALLS.append(1)
+    is_late = len(CALLS) > TINY.epochs * TINY.minibatches
+    return None if is_late else ppo.loss(network, batch, config)
+
+
+def failing(network, batch, config):
+    raise KeyError("mine")
+
+
+@pytest.mark.filterwarnings("ignore:training runs")
+@pytest.mark.parametrize(
+    "loss, said",
+    [(late, "must return tensors .*; got None"), (failing, r"failing fails: KeyError\('mine'\)")],
+)
+def test_a_loss_that_fails_or_returns_nothing_at_any_time_is_told(tmp_path, loss, said):
+    CALLS.clear()
+    with pytest.raises(ValueError, match=said):
         train(TINY, tmp_path, loss=loss, progress=False)
 
 

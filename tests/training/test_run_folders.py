@@ -10,8 +10,12 @@ import polars as pl
 import pytest
 
 from astray.analysis import runs
+from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import open_run
 from astray.analysis.tables import write_table
+from astray.experiments.audit import audit
+from astray.experiments.compare import compare
+from astray.experiments.run import reproduce
 from astray.files import write_aside
 from astray.training import checkpoint, folders
 from astray.training.loop import train
@@ -29,6 +33,30 @@ def test_two_processes_cannot_train_in_one_folder(tmp_path):
         code, _, err = begin(program, tmp_path).ended()
     assert code == 1 and "another process is training in" in err
     assert not checkpoint.steps_saved(tmp_path)
+
+
+@pytest.mark.parametrize("nowhere", ["", 5, b"run", "a\0b", []])
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda path: train(CONFIG, path),
+        runs.load_agent,
+        lambda path: write_table(pl.DataFrame({"a": 1}), path),
+        lambda path: reproduce("maze-corner", "smoke", path),
+        lambda path: audit("maze-corner", out=path, levels=1),
+        lambda path: compare([Walk("goal"), Random()], "maze", "corner", range(1), path),
+    ],
+)
+def test_what_is_no_path_is_refused_and_not_the_current_folder(use, nowhere, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="must be the path of a file or folder; got"):
+        use(nowhere)
+    assert not os.listdir(tmp_path)
+
+
+def test_a_training_needs_a_folder():
+    with pytest.raises(ValueError, match="folder must be the path of a file or folder; got None"):
+        train(CONFIG, None)
 
 
 def test_a_full_disk_leaves_the_run_as_it_was_and_it_goes_on_when_there_is_room(

@@ -20,7 +20,7 @@ from astray.agents.importers.files import LARGEST
 from astray.analysis.trained import Network
 from astray.files import read
 from astray.game import Game
-from astray.validation import brief, of_kind
+from astray.validation import brief, path_of
 from astray.world import World
 
 STRIDES = (4, 2, 1)  # of the convolutions for Atari, Mnih et al. (2015)
@@ -78,8 +78,7 @@ def from_cleanrl(
     Raises:
         ValueError: If the file is damaged, holds more than weights, or weights of another network.
     """
-    of_kind("path", path, str | Path)
-    data = read(Path(path), LARGEST)
+    data = read(path_of("path", path), LARGEST)
     try:
         weights = pth.weights(data)
         if "network.0.conv.weight" in weights:

@@ -31,7 +31,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.files import check_writable, folder_aside, read, write_aside
 from astray.game import Game, Variant
 from astray.record import count_levels
-from astray.validation import brief, of_kind, one_of, shown
+from astray.validation import brief, one_of, path_of, shown
 from astray.world import World, WorldVariant
 
 Format = Literal["parquet", "minari"]
@@ -125,7 +125,7 @@ def export(
     check_policy(policy)
     count_levels(levels)
     one_of("format", form, Format)
-    of_kind("folder", folder, str | Path)
+    folder = path_of("folder", folder)
     if os.path.lexists(folder):
         raise ValueError(f"a data set is written to a new folder; there is something at {folder}")
     game = world.find(game)
@@ -142,7 +142,7 @@ def export(
         "actions": [] if is_world else list(game.actions), "events": list(game.events),
         "state": [list(map(_plain, one)) for one in np.dtype(game.state.descr).descr],
     }  # fmt: skip
-    check_writable(Path(folder))  # before the work
+    check_writable(folder)  # before the work
     with folder_aside(folder) as aside:
         played = trajectories(policy, game, of, levels, batch=batch, longest=longest)
         write(played, game, of, about, aside)
@@ -214,8 +214,7 @@ def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Traject
         FileNotFoundError: If there is no data set.
         ValueError: If the files are damaged, incomplete, or of another version's states.
     """
-    of_kind("folder", folder, str | Path)
-    folder = Path(folder)
+    folder = path_of("folder", folder)
     path = folder / "dataset.json"
     try:
         about = json.loads(read(path, LARGEST))

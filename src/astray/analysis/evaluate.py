@@ -112,10 +112,13 @@ def check_measures(measures: Mapping[str, Measure] | None, taken: Collection[str
 def measured(name: str, measure: Measure, states: np.ndarray) -> pl.Series:
     """Apply a measure to `states` [N]; raise ValueError unless it returns N values."""
     with guarded(f"the measure {name!r}", ValueError, ImportError):
-        values = measure(states.copy())  # it may write to them
-    if np.shape(values) != (len(states),):
+        values, n = measure(states.copy()), len(states)  # it may write to them
+    try:
+        fits, column = np.shape(values) == (n,), pl.Series(name, values)
+    except Exception:  # polars has many for values of several types
+        fits, column = False, pl.Series()
+    if not fits or column.dtype == pl.Object:  # which no file of a table holds
         raise ValueError(
-            f"the measure {name!r} must return {len(states)} values, one of each state; got "
-            f"{shown(values)}"
+            f"the measure {name!r} must return {n} values of one type; got {shown(values)}"
         )
-    return pl.Series(name, values)
+    return column

@@ -43,7 +43,6 @@ def open_run(
     run: str | Path, mode: Mode = "sampled", art: str | None = None
 ) -> tuple[Agent, Config]:
     """Return the agent and the settings of its training; raise the errors of `load_agent`."""
-    of_kind("run", run, str | Path)
     found = AgentFolder.open(run)
     config = found.config()
     device = config.device if usable(config.device) else "cpu"

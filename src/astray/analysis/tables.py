@@ -7,7 +7,7 @@ from pathlib import Path
 import polars as pl
 
 from astray.files import read, write_aside
-from astray.validation import brief
+from astray.validation import brief, path_of
 
 SIGN = b"sha256 of the rest, by astray: "  # with a digest, between a Parquet file's data and footer
 
@@ -17,7 +17,7 @@ def write_table(table: pl.DataFrame, path: Path) -> None:
 
     A full disk or a kill leaves the old file or none.
     """
-    file = io.BytesIO()
+    path, file = path_of("path", path), io.BytesIO()
     if path.suffix == ".csv":
         table.write_csv(file)
         return write_aside(path, file.getvalue())

@@ -13,7 +13,7 @@ from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
 from astray.validation import shown
 
 SILENT = 2.0  # seconds of compiling before it is announced
-COMPILING = "compiling {}: some 10 to 20 seconds of a core, once for each version of its code"
+COMPILING = "compiling {}: some 10 to 20 seconds of a free core, once for each version of its code"
 # What `loops.run` is given in place of actions and results by commands that have none.
 NUMBERS, FLAGS = np.empty(0, np.int64), np.empty(0, bool)
 NO_RESULTS = np.empty(0), FLAGS, FLAGS

@@ -24,7 +24,7 @@ from astray.record import LEVELS
 from astray.report.findings import Findings, Table
 from astray.training.config import Config
 from astray.training.folders import AgentFolder, name_of, read_json
-from astray.validation import bounded, one_of, shown, slug
+from astray.validation import bounded, one_of, path_of, shown, slug
 from astray.world import World
 
 FIRST = 1_000_000  # of the levels, which agents of others are assumed not to know
@@ -80,7 +80,7 @@ def audit(
         FileExistsError: If the report would replace that of an agent with a similar name.
     """
     called = _call(locals())
-    config, load, path, name = _opened(agent, root := Path(folder or out), mode, art)
+    config, load, path, name = _opened(agent, root := path_of("out", folder or out), mode, art)
     if config is None and (game is None or shift is None):
         raise ValueError("the audit of a policy needs its game or World, and a shift")
     played = world.find(game) if game is not None else config.find_game()  # pyright: ignore

@@ -28,7 +28,7 @@ from astray.report.findings import Code, Item, Plot, Section, Table, Video
 from astray.report.page import write_page
 from astray.training.folders import AgentFolder
 from astray.training.log import METRICS
-from astray.validation import of_kind
+from astray.validation import of_kind, path_of
 from astray.world import World, WorldVariant
 
 PAGE, WRITER = "compare.html", "astray compare"
@@ -47,7 +47,7 @@ def compare(
     game: str | Game | World,
     shift: str | Shift,
     levels: np.ndarray | range,
-    folder: Path,
+    folder: str | Path,
     *,
     variant: str | Variant | WorldVariant | None = None,
     command: str = "",
@@ -70,7 +70,7 @@ def compare(
     names = names_of(policies)
     if not 2 <= len(names) <= MOST or len({*names}) < len(names):
         raise ValueError(f"compare takes 2 to {MOST} agents of different names; got {names}")
-    check_free(folder, PAGE, SIGN, ("figures", "videos"))
+    check_free(folder := path_of("folder", folder), PAGE, SIGN, ("figures", "videos"))
     between = load_shift(game, shift)
     scripts = {one.name for one in scripts_of(world.find(game), between)}
     tested = [one for one in policies if isinstance(one, Agent) or one.name not in scripts]

@@ -34,6 +34,7 @@ from astray.training.folders import (
     made,
 )
 from astray.training.log import METRICS
+from astray.validation import path_of
 
 LARGEST = 3_000_000  # bytes of an agent that is kept
 POINTS = 300  # of its curve, at most
@@ -59,7 +60,7 @@ def keep(
         ValueError: If the name is invalid or taken, or the weights are too large, or there are no
             metrics of its training, as of an agent that was kept.
     """
-    folder = Path(folder)
+    folder = path_of("folder", folder)
     check_new(name, folder)
     agent, config = open_run(run)
     if (size := agent.path.stat().st_size) > largest:

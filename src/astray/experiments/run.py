@@ -43,7 +43,7 @@ from astray.training.folders import AgentFolder
 from astray.training.loop import begin, checked
 from astray.training.teacher import give
 from astray.training.track import check_installed
-from astray.validation import MOST, bounded, brief, one_of
+from astray.validation import MOST, bounded, brief, one_of, path_of
 
 ALL = "all"  # experiments of a size
 PLAN = "plan.json"  # in a report's folder, which is known by it
@@ -53,7 +53,7 @@ TABLE = re.compile(r".+-([0-9a-f]{16})\.parquet")  # the names of tables, which 
 def reproduce(
     experiment: str | Experiment,
     size: Size,
-    root: Path,
+    root: str | Path,
     *,
     workers: int | None = None,
     on: Place = "here",
@@ -84,7 +84,7 @@ def reproduce(
     name, whole = sized(experiment, size)
     plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
     plan = replace(plan, device=device)
-    folder = root / f"{name}-{size}{ending}"
+    folder = (root := path_of("root", root)) / f"{name}-{size}{ending}"
     whole.check_installed()
     if track:
         check_installed(track)

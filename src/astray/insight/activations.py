@@ -35,7 +35,7 @@ from astray.files import check_readable, folder_aside, write_aside
 from astray.game import Variant
 from astray.memory import check_memory
 from astray.training.folders import read_json
-from astray.validation import MOST, bounded, of_kind, one_of, shown
+from astray.validation import MOST, bounded, of_kind, one_of, path_of, shown
 
 INDEX, LABELS, FORMAT = "index.json", "labels.parquet", 1
 LABEL = "label:"  # before the names of labels in an .npz file
@@ -237,7 +237,7 @@ def _capture_aside(
     fill: Callable[[Mapping[str, np.ndarray]], None],
 ) -> Activations:
     """Capture `count` states to a folder, which is complete or absent."""
-    folder = Path(folder)
+    folder = path_of("folder", folder)
     if os.path.lexists(folder):
         raise ValueError(f"{folder} must be a new folder; there is something already")
     files = {name: f"{k}.npy" for k, name in enumerate(shapes)}
@@ -266,7 +266,7 @@ def load_activations(path: Path) -> Activations:
         FileNotFoundError: If nothing is at `path`.
         ValueError: If it is something else.
     """
-    path = Path(path)
+    path = path_of("path", path)
     if not path.exists():
         raise FileNotFoundError(f"there are no activations at {path}")
     try:

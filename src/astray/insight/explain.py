@@ -30,7 +30,7 @@ from astray.insight.interventions import sees_world
 from astray.level import Level
 from astray.report.findings import Code, Plot, Section, Table
 from astray.report.page import write_page
-from astray.validation import bounded, slug
+from astray.validation import bounded, path_of, slug
 
 PAGE = "explain.html"
 WRITER = "astray explain"
@@ -85,7 +85,7 @@ def written(game: Game) -> list[str]:
     return [f"{name}.{ending}" for name in names for ending in ("png", "svg", "parquet")]
 
 
-def explain(asked: Asked, folder: Path, heading: str, progress: bool = False) -> Path:
+def explain(asked: Asked, folder: str | Path, heading: str, progress: bool = False) -> Path:
     """Write the page, its figures (PNG and SVG) and tables (Parquet); return the page's path.
 
     Parts that an agent or a game does not support, such as goals without cells, say so.
@@ -104,7 +104,7 @@ def explain(asked: Asked, folder: Path, heading: str, progress: bool = False) ->
         "What it is after": _goals,
         "Its episode": _episode,
     }
-    check_free(folder, PAGE, SIGN, written(asked.level.game))
+    check_free(folder := path_of("folder", folder), PAGE, SIGN, written(asked.level.game))
     parts: list[Section] = []
     for number, (title, make) in enumerate(makers.items(), 1):
         if progress:

@@ -150,12 +150,8 @@ def _told(policy: Shown, game: Game, train: str, test: str, shift: str) -> dict[
         "knobs": {}, "steps": None, "gamma": GAMMA, "lam": LAMBDA, "seed": policy.seed,
         "reward_deviation": None,
         "caveat": policy.caveat,
-        "layers": {} if isinstance(policy, Opaque) else _layers(policy),
+        "layers": {} if isinstance(policy, Opaque) else {n: [*s] for n, s in layers(policy).items()}
     }  # fmt: skip
-
-
-def _layers(agent: Agent | Network) -> dict[str, list[int]]:
-    return {name: list(shape) for name, shape in layers(agent).items()}
 
 
 def _knobs(config: Config, game: Game) -> dict[str, dict[str, Any]]:

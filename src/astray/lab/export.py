@@ -28,7 +28,7 @@ from astray.lab.session import FORMAT, Lab, about_game, drawings
 from astray.lab.worlds import is_played
 from astray.level import Level
 from astray.training.config import Config
-from astray.validation import MOST, bounded, of_kind
+from astray.validation import MOST, bounded, of_kind, path_of
 
 TABLE = 2**20  # bytes of an agent's table, at most
 COMPUTED = "mlp"  # the network that the page computes
@@ -61,7 +61,7 @@ def export(
         ValueError: If a game or an agent needs Python, or a variant does not exist.
     """
     of_kind("lab", lab, Lab)
-    folder = Path(folder)
+    folder = path_of("folder", folder)
     bounded("levels", levels, 1, 10_000)
     is_there = check_empty(folder)
     chosen = check_exportable(lab, agents, further := games or {})

@@ -26,7 +26,7 @@ from safetensors.numpy import load as from_bytes
 from astray import agents
 from astray.files import check_writable, folder_aside, read
 from astray.training.config import Config
-from astray.validation import finite, shown
+from astray.validation import finite, path_of, shown
 
 PRETRAINED = Path(agents.__path__[0]) / "pretrained"  # also in wheels
 CONFIG, CARD, ORIGIN, HUB = "config.json", "README.md", "origin.json", "hub.json"
@@ -59,7 +59,7 @@ class AgentFolder:
         Raises:
             FileNotFoundError: If there is none.
         """
-        run, name = Path(agent), str(agent)
+        run, name = path_of("an agent", agent), str(agent)
         if not run.exists() and name in names():
             run = find(name)
         if (run / CONFIG).exists():

@@ -9,7 +9,7 @@ import functools
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from astray.training.levels import MakeSampler
 from astray.training.log import Log
 from astray.training.ppo import Samples
 from astray.training.trainer import Trainer
-from astray.validation import bounded, of_kind, shown
+from astray.validation import bounded, of_kind, path_of, shown
 
 SPARE = 16  # threads that libraries may start
 # Most consecutive rollouts that are only scored: if 0.01 of them are learned from, longer runs
@@ -80,9 +80,10 @@ def train(
         Diverged: If weights are no longer finite; earlier checkpoints are kept.
     """
     own: dict[str, Any] = {"network": network, "loss": loss, "sampler": sampler, "reward": reward}
+    folder = path_of("folder", folder)
     for _ in iterate(config, folder, **own, progress=progress, wait=wait):
         pass
-    return checkpoint.latest(Path(folder))
+    return checkpoint.latest(folder)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +134,7 @@ def iterate(
         Exception: The errors of `train`, at the first iteration.
     """
     config = checked(config, network, loss, sampler, reward)
-    folder = None if folder is None else Path(folder)
+    folder = None if folder is None else path_of("folder", folder)
     settings = functools.partial(acceleration.torch_settings, config.threads)
     with (
         parallel.processes(config.device),
@@ -179,14 +180,9 @@ def checked(config: Config, network: Any, loss: Any, sampler: Any, reward: Any =
         ValueError: If they cannot be used for training here.
     """
     of_kind("config", config, Config)
-    if network is not None:
-        config = replace(config, network=imports.name_of(network))
-    if loss is not None and loss is not ppo.loss:
-        config = replace(config, loss=imports.name_of(loss))
-    if sampler is not None:
-        config = config.changed(sampler=imports.name_of(sampler))
-    if reward is not None:
-        config = replace(config, reward=imports.name_of(reward))
+    own = {"network": network, "sampler": sampler, "reward": reward}
+    own["loss"] = None if loss is ppo.loss else loss
+    config = config.changed(**{n: imports.name_of(x) for n, x in own.items() if x is not None})
     config.sampler.check_kind()
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
@@ -350,8 +346,10 @@ def explained(samples: Samples) -> float:
 
 def learn(trainer: Trainer, samples: Samples, indices: Tensor) -> dict[str, Tensor]:
     """Take an optimizer step on samples at `indices` [B]; return losses and the gradient norm."""
-    losses = trainer.fast.loss(samples.at(indices))
-    if not trainer.steps:
+    own = imports.guarded(f"the loss {trainer.config.loss}", ValueError, ImportError)
+    with own if trainer.config.loss else contextlib.nullcontext():
+        losses = trainer.fast.loss(samples.at(indices))
+    if trainer.config.loss or not trainer.steps:
         check_losses(losses)
     for weight in trainer.weights:  # 10 us, where zero_grad takes 160
         weight.grad = None

@@ -27,7 +27,7 @@ from astray.training.rollout import Actor, Rollout
 from astray.training.settings import SAMPLERS
 from astray.training.teacher import Solver, Teacher
 from astray.training.teacher import loss as distilled
-from astray.validation import of_kind
+from astray.validation import MOST, bounded, of_kind
 from astray.world import World
 
 PER_WEIGHT = 16  # bytes: float32 weight, gradient, and Adam's two moments
@@ -53,11 +53,6 @@ class Trainer:
         teacher: Path | None = None,
         reward: Reward | None = None,
     ):
-        if config.batch // parallel.size() % config.minibatches:
-            raise ValueError(
-                f"{config.batch} samples of {parallel.size()} processes are not divided by "
-                f"{config.minibatches} minibatches"
-            )
         self.config = config
         self.steps = 0  # environment steps done
         variant, groups = config.training_variant(), acceleration.groups(config)
@@ -87,13 +82,12 @@ class Trainer:
             torch.manual_seed(config.seed)
             self.network = build(self.architecture).to(config.device).eval()
             if not own:
-                _check_outputs(
-                    self.network, self.architecture, self.player.images.to(config.device)
-                )
+                with imports.guarded(f"the network {config.network}", ValueError, ImportError):
+                    seen = self.player.images.to(config.device)
+                    _check_outputs(self.network, self.architecture, seen)
         self.weights = list(self.network.parameters())
         self.memory = self.network.memory if isinstance(self.network, Recurrent) else 0
-        if self.memory:
-            _check_sequences(config)
+        _check_divided(config, self.memory)
         usual = ppo.loss if config.teacher is None else distilled
         what = loss or (imports.find(config.loss, True) if config.loss else usual)
         self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
@@ -129,6 +123,8 @@ class Trainer:
             with torch.device("meta"):  # without memory
                 made = build(self.architecture)
                 of_kind(f"what {config.network} makes", made, nn.Module)
+                if isinstance(made, Recurrent):
+                    bounded(f"memory of {config.network}", getattr(made, "memory", None), 1, MOST)
                 count = sum(x.numel() for x in made.parameters())
                 plain = build(replace(self.architecture, scale=1)).parameters()
                 if config.scale != 1 and count == sum(x.numel() for x in plain):
@@ -270,14 +266,19 @@ def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
 
 @torch.no_grad()
 def _check_outputs(network: nn.Module, architecture: Architecture, shown: Tensor) -> None:
-    """Raise ValueError unless a user's network returns logits and values."""
-    wanted = [(len(shown), architecture.actions), (len(shown),)]
-    returned = network(shown)
+    """Raise ValueError unless a user's network returns logits, values and, with memory, a state."""
+    wanted = [(n := len(shown), architecture.actions), (n,)]
+    if isinstance(network, Recurrent):
+        wanted.append((n, network.memory))
+        state, begins = shown.new_zeros(wanted[2], dtype=torch.float32), shown.new_ones(n) > 0
+        returned = network.recall(shown, state, begins)
+    else:
+        returned = network(shown)
     parts = returned if isinstance(returned, tuple | list) else [returned]
     got = [tuple(x.shape) if isinstance(x, Tensor) else type(x).__name__ for x in parts]
     if got != wanted:
         raise ValueError(
-            f"a network must return logits {wanted[0]} and values {wanted[1]}; got {got}"
+            f"a network must return logits, values and, with memory, its state, {wanted}; got {got}"
         )
 
 
@@ -291,12 +292,13 @@ def _check_pixels(config: Config, shown: Tensor) -> None:
         )
 
 
-def _check_sequences(config: Config) -> None:
-    """Raise ValueError if a network with memory cannot be trained with these settings."""
-    if config.num_envs // parallel.size() % config.minibatches:
+def _check_divided(config: Config, memory: int) -> None:
+    """Raise ValueError unless minibatches divide what each of the processes plays."""
+    count, what = (config.num_envs, "whole environments") if memory else (config.batch, "samples")
+    if count // parallel.size() % config.minibatches:
         raise ValueError(
-            f"a minibatch of a network with memory has whole environments: {config.num_envs} of "
-            f"{parallel.size()} processes are not divided by {config.minibatches} minibatches"
+            f"{count} {what} of {parallel.size()} processes are not divided by "
+            f"{config.minibatches} minibatches"
         )
 
 

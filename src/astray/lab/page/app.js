@@ -122,7 +122,7 @@ export class Lab {
   // what else was asked for and cannot be shown.
   async open(level, wrong = null) {
     const compiled = this.about.engine === "static" ? ""
-      : " Code that is used for the first time is compiled: some 10 to 20 seconds.";
+      : " Code that is used for the first time is compiled: some 10 to 20 seconds of a free core.";
     const late = setTimeout(() => this.panels.status(`Loading.${compiled}`), SOON);
     return this.#opened(level, wrong).finally(() => { clearTimeout(late); this.panels.status("connected"); });
   }
