@@ -45,6 +45,20 @@ def test_agency_takes_any_policy(astray, policy, said):
     assert told["verdict"] == said
 
 
+@pytest.mark.parametrize(
+    "policy, said",
+    [
+        ("walk:cheese", "walk to cheese pursues the intended goal, cheese, in 100.0"),
+        ("walk:corner", "walk to corner misgeneralizes: it pursues corner, not cheese, in 100.0"),
+        ("random", "random pursues no goal in most levels"),
+    ],
+)
+def test_a_script_is_evaluated_as_any_policy_and_played_once(astray, policy, said):
+    told = astray("evaluate", "--policy", policy, *IN_MAZE, "--levels", "0:200")
+    assert told.splitlines()[-1].startswith(said)
+    assert told.count("200 all") == 3
+
+
 def test_a_policy_is_explained_as_far_as_it_can_be(astray, tmp_path, monkeypatch):
     monkeypatch.setattr(page, "FEWER", 4)
     monkeypatch.setattr(page, "PLACES", 4)

@@ -4,12 +4,14 @@ import json
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from astray import games
+from astray.analysis.adapters import Function
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random
-from astray.analysis.runs import load_agent
+from astray.analysis.runs import evaluate_policies, load_agent
 from astray.envs.vector import GameVectorEnv
 from astray.experiments import run, spec
 from astray.experiments.levels import play
@@ -269,10 +271,11 @@ def test_an_explanation_that_cannot_be_is_refused_before_a_level_is_looked_for(
     assert said in astray("explain", "maze-corner", *words, fails=True)
 
 
-def test_a_policy_of_the_name_of_a_script_is_refused_before_a_step_is_tried(astray, monkeypatch):
+def test_a_policy_of_the_name_of_a_script_is_refused_before_a_step_is_tried(monkeypatch):
     monkeypatch.setattr(GameVectorEnv, "reset", lambda *_, **__: pytest.fail("it was played"))
-    words = ("evaluate", "--policy", "random", "--game", "maze", "--shift", "corner-small")
-    assert "policies must have names of their own; got walk to" in astray(*words, fails=True)
+    own = Function(lambda seen: np.zeros(len(seen), int), "random")
+    with pytest.raises(ValueError, match="policies must have names of their own; got walk to"):
+        evaluate_policies([own], "maze", "corner-small")
 
 
 @pytest.mark.parametrize(

@@ -239,12 +239,11 @@ def _outcomes(
     solvable: bool,
     **how: Any,
 ) -> Result:
+    chosen: Any = levels
     if isinstance(levels, Path):
         if isinstance(game, World) or isinstance(variant, WorldVariant):
             raise ValueError(f"levels of {game.name} are numbers; got the file {levels}")
         chosen = read_levels(levels, game, variant, solvable=solvable)
-    else:
-        chosen = levels
     episodes = play_all(game, name, variant, shift, chosen, policies, trial=True, **how)
     return rated(episodes, game, load_shift(game, shift), [*dict.fromkeys(how["names"])])
 
@@ -316,7 +315,8 @@ def play_all(
     for policy in policies:
         check_policy(policy)
     between = load_shift(game, shift)
-    scripts = scripts_of(game, between)
+    given = {(type(one), one.name) for one in policies}  # of them a script may be one
+    scripts = [one for one in scripts_of(game, between) if (type(one), one.name) not in given]
     called = [*(one.name for one in scripts), *(names or [one.name for one in policies])]
     players = [*scripts, *policies]
     # A name may be of several agents of one kind, and episodes of one name are counted together.
