@@ -1,7 +1,9 @@
 """Import of users' objects by name, "module:attribute", as in entry points."""
 
+import builtins
 import contextlib
 import importlib
+import json
 import logging
 import os
 import re
@@ -10,6 +12,7 @@ import threading
 import warnings
 from collections.abc import Collection, Iterator, Sequence
 from importlib.metadata import EntryPoint, distribution, distributions
+from operator import attrgetter
 from typing import Any
 
 from astray.validation import shown
@@ -24,7 +27,7 @@ class Terminated(KeyboardInterrupt):
 
 
 class _Lent:
-    """The standard streams while users' code runs, which may write to, close or replace them.
+    """The standard streams and functions while users' code runs, which may replace them.
 
     Threads that run such code at once share what is lent: the first lends, the last takes back.
     """
@@ -38,6 +41,7 @@ class _Lent:
             self.inside += 1
             if self.inside > 1:
                 return
+            self.standard = [(module, {**vars(module)}) for module in (builtins, json)]
             self.own, self.output = (sys.stdout, sys.stderr), 0
             if sys.__stderr__ and sys.stdout is sys.__stdout__:  # a program may read the output
                 stream = open(2, "w", 1, errors="backslashreplace", closefd=False)
@@ -51,6 +55,8 @@ class _Lent:
         with self.lock:
             self.inside -= 1
             if not self.inside:
+                for module, own in self.standard:
+                    vars(module).update(own)
                 if self.output:
                     with contextlib.suppress(AttributeError, OSError, ValueError):
                         sys.__stdout__.flush()  # pyright: ignore
@@ -107,7 +113,7 @@ def name_of(thing: Any) -> str:
     """
     name = f"{getattr(thing, '__module__', None)}:{getattr(thing, '__qualname__', None)}"
     try:
-        found = _attribute(sys.modules[name.partition(":")[0]], name)
+        found = attrgetter(thing.__qualname__)(sys.modules[thing.__module__])
     except (KeyError, AttributeError):
         found = None
     if found is not thing:
@@ -123,11 +129,11 @@ def find(name: str, called: bool = False) -> Any:
     """
     if not is_name(name):
         raise ValueError(f"{name!r} must be a module and what is in it; as module:attribute")
-    module = name.partition(":")[0]
+    module, _, attribute = name.partition(":")
     told = f"the module {module!r} is still being imported after {LONG:g} seconds"
     try:
         with announced(LONG, told), guarded(f"the module {module!r}", ImportError, AttributeError):
-            found = _attribute(importlib.import_module(module), name)
+            found = attrgetter(attribute)(importlib.import_module(module))
     except (ImportError, AttributeError) as error:
         raise ValueError(f"{name!r} must be a module and what is in it; {error}") from error
     if called and not callable(found):
@@ -230,9 +236,3 @@ def needed_by(thing: str, error: ModuleNotFoundError) -> ImportError:
     ours = re.compile(rf"{re.escape(library)}\b(?!-).*extra == .train")  # not a user's own
     is_ours = any(map(ours.match, distribution("astray").requires or ()))
     return missing(f"{thing} needs {library}", "train") if is_ours else error
-
-
-def _attribute(thing: Any, name: str) -> Any:
-    for part in name.partition(":")[2].split("."):
-        thing = getattr(thing, part)
-    return thing

@@ -52,6 +52,14 @@ def read_levels(
     return dict(zip(names, found, strict=True))
 
 
+def read_level(path: Path, game: Game, variant: Variant, *, solvable: bool = False) -> Level:
+    """Return the one level in a file, as `read_levels` does; raise ValueError for several."""
+    found = read_levels(path, game, variant, solvable=solvable)
+    if len(found) > 1:
+        raise ValueError(f"one level is played; {path} holds {len(found)}")
+    return next(iter(found.values()))
+
+
 def _read_folder(path: Path, game: Game, variant: Variant, solvable: bool) -> dict[str, Level]:
     """Return the levels of every file in a folder that is not hidden."""
     found: dict[str, Level] = {}

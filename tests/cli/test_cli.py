@@ -193,6 +193,9 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
             "agents must play one game; got maze, room",
         ),
         ("lab --num-levels 5", "--num-levels says how many are exported: it needs --export FOLDER"),
+        ("lab maze-corner --export x --port 80", "--export writes files and opens no --port"),
+        ("evaluate maze-corner --art original", "--art draws images; this policy sees symbolic"),
+        ("export maze-corner --art original --out x", "--art draws images; this policy sees symb"),
         (
             "evaluate --policy builtins:len --game maze --shift corner --mode greedy",
             "a policy of your own chooses by itself; it has no mode 'greedy'",

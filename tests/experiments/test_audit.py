@@ -64,11 +64,11 @@ def test_an_audit_tells_the_returns_of_further_rewards(astray, tmp_path):
 
 def test_an_audit_tells_the_call_that_repeats_it(tmp_path):
     page = audit(
-        RIGHT, WORLD, "end", levels=9, longest=3, folder=tmp_path, rewards={"steps": each_step}
+        RIGHT, WORLD, "end", levels=9, longest=3, out=tmp_path, rewards={"steps": each_step}
     )
     call = (
         f"astray.audit(agent=<right>, game=<room>, shift='end', levels=9, "
-        f"rewards={{'steps': <each_step>}}, longest=3, folder={str(tmp_path)!r})"
+        f"rewards={{'steps': <each_step>}}, longest=3, out={str(tmp_path)!r})"
     )
     assert code(call) in page.read_text("utf-8")
     (table,) = page.parent.glob("computed/episodes-*.parquet")
@@ -105,6 +105,22 @@ def test_a_pretrained_agent_is_audited_by_one_command(astray, tmp_path):
     first = pl.read_parquet(next((tmp_path / "audit-maze-corner-corner-small-smoke").glob(
         "computed/episodes-*.parquet")))["level"].min()  # fmt: skip
     assert first == FIRST
+
+
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        ((RIGHT, WORLD, "end", {"mode": "greedy"}), "has its mode and art; got 'greedy' and None"),
+        ((RIGHT, WORLD, "end", {"art": "original"}), "has its mode and art; got 'sampled' and 'o"),
+        (("maze-corner", None, None, {"mode": "zz"}), "unknown mode 'zz'; there are: sampled, g"),
+        (("maze-corner", WORLD, "end", {}), "maze-corner plays maze; game must be left out, not r"),
+    ],
+)
+def test_an_audit_ignores_no_argument(tmp_path, given, message):
+    *words, how = given
+    with pytest.raises(ValueError, match=message):
+        audit(*words, out=tmp_path, levels=3, **how)
+    assert not [*tmp_path.iterdir()]
 
 
 def test_an_audit_keeps_the_agent_whose_checkpoint_its_training_removes_meanwhile(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pkgutil
 import re
 import subprocess
 import sys
@@ -145,6 +146,31 @@ def test_a_game_that_closes_a_standard_stream_does_not_end_what_follows(tmp_path
     assert done.stdout.split() == ["closes", "takes", "mutes", "writes"], done.stderr
     told = ["loaded"] * 4 + ["raw", "late", "end"]
     assert sorted(done.stderr.split()) == sorted(told)  # not amid what a program may read
+
+
+@pytest.mark.parametrize("name", ["builtins.sorted", "json.dumps", "builtins.isinstance"])
+def test_a_game_that_replaces_a_function_of_python_takes_nothing_else_down(
+    tmp_path, monkeypatch, astray, name
+):
+    monkeypatch.setattr(name, pkgutil.resolve_name(name))  # which is put back in any case
+    spoils = f"import builtins, json\n{name} = None\nGAME = 3"
+    offer(tmp_path, monkeypatch, spoils=spoils)
+    assert "must be a Game" in json.loads(astray("list", "--json"))["games"]["spoils"]["error"]
+    games._offered.cache_clear()
+
+
+def test_a_list_does_not_wait_for_a_thread_of_a_game(tmp_path, monkeypatch):
+    waits = "import threading, time\nthreading.Thread(target=time.sleep, args=(600,)).start()"
+    offer(tmp_path, monkeypatch, waits=waits)
+    games._offered.cache_clear()
+    done = subprocess.run(
+        [sys.executable, "-m", "astray", "list", "--json"],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
+        timeout=120,
+    )
+    assert done.returncode == 0 and "GAME" in json.loads(done.stdout)["games"]["waits"]["error"]
 
 
 def test_text_that_fails_when_it_is_printed_is_listed_as_text(tmp_path, monkeypatch, astray):

@@ -70,6 +70,13 @@ def test_what_holds_no_activations_is_told(mouse, states, tmp_path):
     (tmp_path / "a.npz").write_bytes(b"PK\x03\x04 no archive")
     with pytest.raises(ValueError, match="holds no activations"):
         load_activations(tmp_path / "a.npz")
+    for odd, said in (
+        ({"x": np.ones(3)}, "unknown type 'float64' of x"),
+        ({"label:level": np.array(["a"])}, "its labels are not numbers"),
+    ):
+        np.savez(tmp_path / "odd.npz", **odd)
+        with pytest.raises(ValueError, match=said):
+            load_activations(tmp_path / "odd.npz")
     np.savez(tmp_path / "pickled.npz", x=np.array([{}], object))
     with pytest.raises(ValueError, match="holds no activations"):
         load_activations(tmp_path / "pickled.npz")

@@ -16,6 +16,8 @@ from astray.insight.activations import capture, layers
 from astray.insight.cell_probes import ahead
 from astray.insight.episode import along
 from astray.insight.fields import difference, fields
+from astray.insight.interventions import patch, steer
+from astray.insight.probes import probe
 from astray.insight.retarget import Clamp, retarget
 from astray.insight.vectors import Condition, Vectors, edit_vectors, effects, pair_vectors
 from astray.mitigation.uncertainty import margin, max_logit
@@ -67,6 +69,11 @@ def agent(tmp_path):
         (lambda a: ahead(THIRD, 7), "states must be those of whole episodes"),
         (lambda a: Condition(coefficient=np.nan), "coefficient must be a finite number"),
         (lambda a: edit_vectors(a, "corner-small", [1], "spread", 5), "must be a function of lev"),
+        (lambda a: fields(a, "corner-small", {"a": 5}), "a level by name must be a Level; got 5"),
+        (lambda a: probe(a, "corner-small", LEVEL, ["spread"], None), "labels must be a Mapping"),
+        (lambda a: steer(a, {"spread": np.ones(7, complex)}), "must be real numbers that go with"),
+        (lambda a: steer(a, {"spread": ["1"] * 7}), "must be real numbers that go with"),
+        (lambda a: patch(a, "spread", [1], 1j), "value must be real numbers that go with"),
         (lambda a: export(b"x", "maze", "corner-small", [1], None), "a policy must have name"),
     ],
 )

@@ -60,6 +60,21 @@ def ask(session, kind, **more):
     return joined
 
 
+@pytest.mark.parametrize("code", ["utf-8", "utf-8-sig", "utf-16"])
+def test_the_level_of_a_file_is_read_as_other_verbs_read_it(tmp_path, code):
+    drawn, data = tmp_path / "l.txt", tmp_path / "l.json"
+    drawn.write_text(f"; a comment\n\n{ROOM}\n", code)
+    level = Level.from_text(*MAZE_TESTED[::2], ROOM).to_json() | {"looks": {"background": 2}}
+    data.write_text(json.dumps(level), code)
+    for path, background in ((drawn, 0), (data, 2)):
+        lab = make_lab("maze-corner", {"level": path})
+        (told,) = Session(lab).answers(json.dumps(MAZE | {"id": 1, "kind": "level"} | lab.start))
+        assert told["text"] == ROOM and told["level"]["looks"]["background"] == background
+    drawn.write_bytes(b"\xff\x00")
+    with pytest.raises(ValueError, match=r"l\.txt: 'utf-8' codec can't decode"):
+        make_lab("maze-corner", {"level": drawn})
+
+
 def test_the_first_agent_is_one_that_sees_the_levels():
     assert make_lab(None, {}).start["agent"] == "maze-corner"
     dish = make_lab(None, {"variant": "dish-small"})  # of more symbolic planes

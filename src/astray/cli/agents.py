@@ -146,13 +146,13 @@ def evaluate(
         check_writable(out)
     own = imports.find_each(rewards)
     how: dict[str, Any] = dict(batch=batch, solvable=not unsolvable, longest=longest, rewards=own)
-    if policy.replaces(agents, {"--shift": tested.shift}):
+    player, rules, config = policy.open(agents, tested.acting, {"--shift": tested.shift})
+    tested.acting.check_seen(player)
+    if config is None:
         assert tested.shift is not None
-        rules, player = policy.rules(), policy.make(tested.acting)
         test = {"variant": tested.variant, "knobs": pairs(tested.knobs)}
         result = evaluate_policies([player], rules, tested.shift, played, **test, **how)
     else:
-        rules = tested.acting.open(agents[0])[1].find_game()
         result = evaluate_runs(agents, played, pool=pool, **tested.words(), **how)
     if out:
         write_table(result.episodes, out)

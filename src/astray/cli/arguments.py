@@ -16,7 +16,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from astray import games, imports, world
 from astray.game import OWN, Game, Variant
 from astray.level import Level
-from astray.level_files import read_levels
+from astray.level_files import read_level
 from astray.record import LEVELS
 from astray.training.settings import KNOB, SHORT, otherwise
 from astray.validation import AT_ONCE, bounded, command_of, of_kind, one_of
@@ -91,6 +91,11 @@ class Acting:
 
         return open_run(agent, self.mode, self.art)
 
+    def check_seen(self, policy: Policy) -> None:
+        """Raise ValueError for art of a policy that sees no images."""
+        if self.art is not None and policy.observation != "image":
+            raise ValueError(f"--art draws images; this policy sees {policy.observation} planes")
+
 
 @dataclass(frozen=True)
 class OwnPolicy:
@@ -129,17 +134,16 @@ class OwnPolicy:
             )
 
     def open(
-        self, agent: Path | None, acting: Acting, needs: Mapping[str, Any]
+        self, agents: Any, acting: Acting, needs: Mapping[str, Any]
     ) -> tuple[Policy, Any, Config | None]:
-        """Return the agent, or this policy in its place, its game or world, and its settings.
+        """Return the first agent, or this policy instead, its game or world, and its settings.
 
         Raises:
             ValueError: As `replaces` does.
         """
-        if self.replaces(agent, needs):
+        if self.replaces(agents, needs):
             return self.make(acting), world.find(self.rules()), None
-        assert agent is not None
-        player, config = acting.open(agent)
+        player, config = acting.open(agents if isinstance(agents, Path) else agents[0])
         return player, config.find_game(), config
 
     def replaces(self, agents: Any, needs: Mapping[str, Any]) -> bool:
@@ -305,10 +309,7 @@ class GivenLevel:
         self.check()
         if self.level_file is None:
             return self.level
-        found = read_levels(self.level_file, game, variant, solvable=solvable)
-        if len(found) > 1:
-            raise ValueError(f"one level is played; {self.level_file} holds {len(found)}")
-        return next(iter(found.values()))
+        return read_level(self.level_file, game, variant, solvable=solvable)
 
     def check(self) -> None:
         """Raise ValueError if the number is not a level's, or a file is given too."""

@@ -29,14 +29,12 @@ def export(
         form: Format of the data set: parquet or minari.
         batch: Number of episodes to play in parallel, each in memory until it ends.
         out: New folder for the data set.
-
-    Raises:
-        ValueError: If options do not go together.
     """
     from astray.analysis.dataset import export as write
 
     bounded("batch", batch, 1, MOST)
     policy, game, variant, config = player.open()
+    player.acting.check_seen(policy)
     first = config.unseen_levels.start if config else 0
     numbers = level_numbers(f"{first}:{first + 1000}" if levels is None else levels)
     print(write(policy, game, variant, numbers, out, form=form, batch=batch, longest=longest))

@@ -1,6 +1,8 @@
 """Verbs for lists, experiments and benchmarks."""
 
+import os
 import sys
+import threading
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -27,6 +29,14 @@ def list_(json: Json = False) -> None:
 
     Example: astray list
     """
+    threads = threading.active_count()
+    _print_list(json)
+    if threading.active_count() > threads:  # a stranger's, for which Python would wait
+        sys.stdout.flush()
+        os._exit(0)
+
+
+def _print_list(json: bool) -> None:
     described, broken = games.survey(_game)
     found = {
         "games": described | {name: {"error": reason} for name, reason in broken.items()},

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional
 
 from astray.cli.arguments import AN_AGENT, Acting, GivenLevel, OwnPolicy
-from astray.files import check_empty, check_writable, read
+from astray.files import check_empty, check_writable
 from astray.training.settings import otherwise
 from astray.validation import bounded
 
@@ -20,7 +20,7 @@ def lab(
     policy: OwnPolicy = OwnPolicy(),
     variant: Annotated[str | None, otherwise("the variant that the agent is tested on")] = None,
     level: GivenLevel = GivenLevel(),
-    port: int = 0,
+    port: Annotated[int | None, otherwise("any free one")] = None,
     browser: bool = True,
     export: Annotated[Path | None, otherwise("none")] = None,
     num_levels: Annotated[int | None, otherwise(f"{EXPORTED}")] = None,
@@ -34,7 +34,7 @@ def lab(
 
     Args:
         variant: Variant that levels are drawn from.
-        port: Port, reachable from this machine only; 0 for any free one.
+        port: Port, reachable from this machine only.
         browser: Open the page in the browser.
         export: Folder for a copy of the page and the agents that any web server can serve.
         num_levels: Number of levels of each variant to export.
@@ -44,10 +44,12 @@ def lab(
     """
     from astray.lab.serving import make_lab
 
-    bounded("port", port, 0, LARGEST_PORT)
+    bounded("port", port or 0, 0, LARGEST_PORT)
     bounded("num_levels", exported := EXPORTED if num_levels is None else num_levels, 1, MOST)
     if num_levels is not None and export is None:
         raise ValueError("--num-levels says how many are exported: it needs --export FOLDER")
+    if port is not None and export is not None:
+        raise ValueError("--export writes files and opens no --port; give one of them")
     level.check()
     policy.check_game("lab")
     shown: Any = agent
@@ -56,21 +58,19 @@ def lab(
             raise ValueError("--export writes agents of run folders; a policy needs Python to act")
         shown, rules, _ = policy.open(agent, Acting(), needs={})
         policy = replace(policy, game=rules.name)
-    start: dict[str, Any] = {"game": policy.game, "variant": variant, "level": level.level}
-    if level.level_file is not None:
-        start["level"] = read(level.level_file, 2**20).decode()
+    given = level.level_file or level.level
+    start: dict[str, Any] = {"game": policy.game, "variant": variant, "level": given}
     if export is not None:
         from astray.lab.export import check_exportable
         from astray.lab.export import export as write
 
         check_empty(export)
         check_writable(export / "index.html")
-        check_exportable(
-            make_lab(shown, start | {"level": 0}), None, {}
-        )  # before a level is looked for
+        found = make_lab(shown, start | {"level": 0})  # before a level is looked for
+        check_exportable(found, None, {})
         write(make_lab(shown, start), export, exported)
         print(f"{export / 'index.html'}")
         return
     from astray.lab.server import serve
 
-    serve(make_lab(shown, start), port, browser)
+    serve(make_lab(shown, start), port or 0, browser)

@@ -120,9 +120,6 @@ def audit(
     Args:
         levels: Number of levels to play in each variant.
         out: Folder of reports; this one is written to audit-<agent>-<shift>-smoke.
-
-    Raises:
-        ValueError: If options do not go together.
     """
     from astray.experiments.audit import audit as write
 

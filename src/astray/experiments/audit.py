@@ -47,7 +47,6 @@ def audit(
     art: str | None = None,
     out: str | Path = "reports",
     command: str = "",
-    folder: str | Path | None = None,
 ) -> Path:
     """Write the report of one agent on one shift; return its page.
 
@@ -73,18 +72,19 @@ def audit(
         art: Art of an agent's images; None for that of its training.
         out: Folder of reports; gets this one in audit-<agent>-<shift>-smoke.
         command: Command that repeats it, as the report says.
-        folder: Earlier name of `out`.
 
     Raises:
         ValueError: If the agent, shift, ghost or a knob does not exist, or a policy lacks its game.
         FileExistsError: If the report would replace that of an agent with a similar name.
     """
     called = _call(locals())
-    config, load, path, name = _opened(agent, root := path_of("out", folder or out), mode, art)
+    config, load, path, name = _opened(agent, root := path_of("out", out), mode, art)
     if config is None and (game is None or shift is None):
         raise ValueError("the audit of a policy needs its game or World, and a shift")
     played = world.find(game) if game is not None else config.find_game()  # pyright: ignore
     named = shift if shift is not None or config is None else shift_of(config)
+    if config and played.name != config.game:
+        raise ValueError(f"{agent} plays {config.game}; game must be left out, not {played.name}")
     between = load_shift(played, named)  # pyright: ignore
     if config is not None:
         first_level = max(first_level, config.unseen_levels.start)
@@ -143,6 +143,7 @@ def _opened(
     agent: Any, root: Path, mode: Mode, art: str | None
 ) -> tuple[Config | None, Any, Path, str]:
     """Return the settings of an agent, a function that loads it, its path and its name."""
+    one_of("mode", mode, Mode)
     if isinstance(agent, str | Path):
         found = AgentFolder.open(agent)
         its = f"checkpoint {found.weights.parent.name}" * found.is_older
@@ -151,6 +152,8 @@ def _opened(
         load = cache(partial(load_agent, mode=mode, art=art))  # a training may remove it meanwhile
         return found.config(), load, found.weights.parent, name
     check_policy(agent)
+    if (mode, art) != ("sampled", None):
+        raise ValueError(f"a policy of your own has its mode and art; got {mode!r} and {art!r}")
     # Nobody knows what such a policy depends on: with a new path, no table of another is reused.
     place = aside_of(root / "agents" / f"audit-{agent.name}")
     return None, lambda path: agent, place, agent.name

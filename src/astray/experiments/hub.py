@@ -80,7 +80,12 @@ def push(
     """
     _check_name(repository, revision)
     api = _api(endpoint)
-    _check_token(repository)
+    from huggingface_hub import get_token
+
+    if get_token() is None:  # told before a minute of measuring for the card
+        raise PermissionError(
+            f"{repository} cannot be pushed: there is no token; see hf auth login, or HF_TOKEN"
+        )
     its = AgentFolder.open(run)
     if its.is_foreign:
         raise ValueError(
@@ -153,16 +158,6 @@ def _api(endpoint: str | None) -> HfApi:
     with imports.extra("hub", "the Hub needs huggingface_hub"):
         from huggingface_hub import HfApi
     return HfApi(endpoint=endpoint)
-
-
-def _check_token(repository: str) -> None:
-    """Raise PermissionError if there is no token, before a minute of measuring for the card."""
-    from huggingface_hub import get_token
-
-    if get_token() is None:
-        raise PermissionError(
-            f"{repository} cannot be pushed: there is no token; see hf auth login, or HF_TOKEN"
-        )
 
 
 def _check_name(repository: str, revision: str | None) -> None:

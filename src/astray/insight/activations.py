@@ -54,6 +54,8 @@ class Activations:
     labels: pl.DataFrame
 
     def __post_init__(self) -> None:
+        for name, value in self.values.items():
+            one_of("type", getattr(value, "dtype", np.dtype(object)).name, ("float32",), name)
         lengths = {len(self.labels), *(len(value) for value in self.values.values())}
         if len(lengths) != 1:
             raise ValueError(f"activations and labels must be equally long; got {sorted(lengths)}")
@@ -278,6 +280,8 @@ def load_activations(path: Path) -> Activations:
 def _load_file(path: Path) -> Activations:
     arrays = dict(arrays_of(path))
     labels = {n.removeprefix(LABEL): a for n, a in arrays.items() if n.startswith(LABEL)}
+    if any(a.dtype.kind not in "biuf" or a.ndim != 1 for a in labels.values()):
+        raise ValueError("its labels are not numbers, one of each state")
     values = {n: a for n, a in arrays.items() if not n.startswith(LABEL)}
     return Activations(values, pl.DataFrame(labels))
 

@@ -205,7 +205,6 @@ def _inputs(agent: Model, observations: np.ndarray) -> Tensor:
 
 def _maps(agent: Model, attribute: Callable[..., Tensor], *observations: np.ndarray) -> np.ndarray:
     """Apply `attribute` to the inputs in chunks and return maps."""
-    _check(agent, observations[0])
     found = []
     for first in range(0, len(observations[0]), CHUNK):
         chunk = [_inputs(agent, some[first : first + CHUNK]) for some in observations]

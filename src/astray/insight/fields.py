@@ -22,6 +22,7 @@ from astray import games
 from astray.acting import Levels, initial_states
 from astray.analysis.critic import ask
 from astray.analysis.trained import Model, Opaque
+from astray.envs.beginnings import beginnings
 from astray.game import Game, Variant
 from astray.insight.actions import effects, outcomes
 from astray.level import EMPTY, Cell, Level
@@ -353,6 +354,7 @@ def _apart(joined: np.ndarray, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
 def drawn(game: Game, variant: Variant, levels: Levels) -> Iterator[Level]:
     """Yield the levels as data."""
     if isinstance(levels, Mapping):
+        beginnings(levels, game.state)  # which checks them
         yield from levels.values()
         return
     states = initial_states(game, variant, levels)

@@ -284,11 +284,11 @@ def _with(x: Tensor, which: np.ndarray, new: Tensor, *cell: int) -> Tensor:
 def _fitting(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
     """Return `given` as finite reals that broadcast to `shape`."""
     try:
-        array = np.asarray(given, np.float64)
+        array = np.asarray(given).astype(np.float64, casting="same_kind")  # no text, none complex
         np.broadcast_to(array, shape)
     except (TypeError, ValueError):
         raise ValueError(
-            f"{name} must go with what is of shape {shape}; got {shown(np.shape(given))}"
+            f"{name} must be real numbers that go with what is of shape {shape}; got {shown(given)}"
         ) from None
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be of finite numbers; it is not")

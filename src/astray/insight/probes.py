@@ -74,6 +74,7 @@ def probe(
     """
     of_kind("states", states, np.ndarray)
     bounded("folds", folds, 2, MOST)
+    of_kind("labels", labels, Mapping)
     check_measures(labels, ())
     need_sklearn()
     begins = beginnings_in(states) if episodes else None
@@ -81,7 +82,9 @@ def probe(
     known = {name: measured(name, measure, states).to_numpy() for name, measure in labels.items()}
     known = {name: y for name, y in known.items() if _enough(y)}
     if not known:
-        raise ValueError(f"no label of {', '.join(labels)} has two classes of {LEAST} states each")
+        raise ValueError(
+            f"no label of {', '.join(labels) or 'none'} has two classes of {LEAST} states each"
+        )
     given = {SEEN: shown.astype(np.float32)} | activations(agent, shown, layers, begins)
     fold = _folds(states["level"], folds)
     fresh = [activations(untrained(agent, k), shown, layers, begins) for k in range(folds)]
@@ -246,6 +249,7 @@ def readings(
         ImportError: If scikit-learn is not installed.
         ValueError: If a layer is unknown or no label is left.
     """
+    of_kind("labels", labels, Mapping)
     check_measures(labels, ())
     need_sklearn()
     both = [observe(agent, variant, some) for some in (states, here)]

@@ -86,10 +86,8 @@ def pair_vectors(
     Raises:
         ValueError: If the numbers of states differ, or a state or layer is invalid.
     """
-    of_kind("states", states, np.ndarray)
-    of_kind("others", others, np.ndarray)
-    if len(states) != len(others):
-        raise ValueError(f"states must be pairs; got {len(states)} and {len(others)}")
+    if np.shape(states) != np.shape(others):
+        raise ValueError(f"states must be pairs; got {np.shape(states)} and {np.shape(others)}")
     one, other = (_of(agent, variant, layer, some) for some in (states, others))
     return Vectors(layer, one - other)
 

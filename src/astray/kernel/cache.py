@@ -34,8 +34,9 @@ def cache_folder(digest: str) -> str:
         digest: Digest of numba's version and settings, the folder's name.
     """
     try:
-        home = _made(code_home())
-        _close(home)
+        found = (home := _made(code_home())).stat()
+        if hasattr(os, "getuid") and found.st_uid == os.getuid() and found.st_mode & OTHERS:
+            home.chmod(0o700)  # astray's own, to which others can no longer write
         folder = _made(home / digest)
         _check_trusted(folder)
         mark(folder)
@@ -67,13 +68,6 @@ def _made(folder: Path) -> Path:
             with contextlib.suppress(FileExistsError):
                 path.mkdir(mode=0o700)
     return folder.resolve()
-
-
-def _close(folder: Path) -> None:
-    """Revoke the write permission of others for astray's own folder."""
-    found = folder.stat()
-    if hasattr(os, "getuid") and found.st_uid == os.getuid() and found.st_mode & OTHERS:
-        folder.chmod(0o700)
 
 
 def _check_trusted(folder: Path) -> None:

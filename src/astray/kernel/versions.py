@@ -5,6 +5,7 @@ files written by numba and astray are removed from it. No link is followed.
 """
 
 import contextlib
+import functools
 import os
 import re
 import stat
@@ -121,11 +122,5 @@ def outdated(folder: Path) -> list[Path]:
         if code and digested:
             of = files.setdefault(f"{path.parent} {digested['name']} {digested['rest']}", {})
             of.setdefault(code["function"], []).append(path)
-    return [
-        path for of in files.values() for old in sorted(of.values(), key=_last)[:-1] for path in old
-    ]
-
-
-def _last(files: list[Path]) -> int:
-    """Return the time of the last write to `files`."""
-    return max(path.lstat().st_mtime_ns for path in files)
+    by_time = functools.partial(sorted, key=lambda paths: max(p.lstat().st_mtime_ns for p in paths))
+    return [path for of in files.values() for old in by_time(of.values())[:-1] for path in old]

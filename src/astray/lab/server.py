@@ -15,7 +15,6 @@ import traceback
 import webbrowser
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Any
 
 from astray import imports
@@ -32,17 +31,11 @@ WAITING = 64  # messages of a page that wait; of more, the oldest are given up
 LEAVE = 1.0  # seconds that open pages have when the server ends
 
 
-@dataclass
 class Bucket:
-    """Token bucket that limits a rate."""
+    """Bucket of `most` tokens, refilled with `rate` a second, that limits a rate."""
 
-    rate: float  # a second
-    most: float
-    left: float = field(init=False)
-    seen: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.left, self.seen = self.most, time.monotonic()
+    def __init__(self, rate: float, most: float):
+        self.rate, self.most, self.left, self.seen = rate, most, most, time.monotonic()
 
     def wait(self) -> float:
         """Take one token; return the seconds until it is available."""

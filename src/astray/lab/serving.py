@@ -10,6 +10,7 @@ from astray.analysis.trained import Agent, Network, Opaque, looked_into
 from astray.lab.agents import Agents
 from astray.lab.goals import typical
 from astray.lab.session import Lab
+from astray.level_files import read_level
 from astray.training import folders
 from astray.training.folders import AgentFolder
 from astray.validation import of_kind
@@ -22,6 +23,7 @@ def make_lab(agent: str | Path | Policy | None, start: Mapping[str, Any]) -> Lab
 
     Args:
         agent: Name or run folder, or any policy, for which `start` says the game.
+        start: First fields of a `Message`; its level may be the path of a file.
 
     Raises:
         ValueError: If a setting is invalid.
@@ -54,11 +56,13 @@ def make_lab(agent: str | Path | Policy | None, start: Mapping[str, Any]) -> Lab
     game = games.find(first.get("game", games.OWN[0]))
     if about and about["game"] != game.name:
         raise ValueError(f"the agent {name!r} plays {about['game']}, not {game.name}")
-    game.variant(first.setdefault("variant", next(iter(game.variants))))
+    variant = game.variant(first.setdefault("variant", next(iter(game.variants))))
+    variant = variant.with_knobs(about.get("knobs", {}).get(first["variant"], {}))
+    if isinstance(first.get("level"), Path):
+        first["level"] = read_level(first["level"], game, variant).to_json()
     shift = game.shifts.get(about.get("shift", ""))
     if "level" not in first and shift and first["variant"] == shift.test:
-        test = game.variant(shift.test).with_knobs(about["knobs"].get(shift.test, {}))
-        first["level"], first["why"] = typical(game, test, shift, agents.player(name))
+        first["level"], first["why"] = typical(game, variant, shift, agents.player(name))
     return Lab(agents, {"level": 0} | first | {"game": game.name})
 
 

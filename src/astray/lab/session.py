@@ -56,21 +56,16 @@ class Session:
 
         An invalid message is answered with "error".
         """
+        last: Reply = {}
         try:
             message = read(text)
-        except MISTAKES as error:
-            yield {"id": number_of(text), "done": True, "error": brief(error)}
-            return
-        try:
-            answer = ANSWERS[message.kind](self, message)
-            last: Reply = {}
-            for part in answer:
+            for part in ANSWERS[message.kind](self, message):
                 if last:
                     yield {"id": message.id} | last
                 last = part
             yield {"id": message.id} | last | {"done": True}
         except MISTAKES as error:
-            yield {"id": message.id, "done": True, "error": brief(error)}
+            yield {"id": number_of(text), "done": True, "error": brief(error)}
 
     def world(self, message: Message) -> World:
         """Return the level of a message; the last one is cached."""
