@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import astray
 from astray.analysis.adapters import Function
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
-from astray.analysis.policies import Random
+from astray.analysis.policies import Random, Walk
 from astray.analysis.results import Result
 from astray.cli import pages
 from astray.cli.arguments import Acting
@@ -36,6 +36,12 @@ def test_agents_and_scripts_are_compared_on_one_page(astray, tmp_path):
     row = page.split("<tbody>")[1].split("</tr>")[0]
     assert "maze-corner</td>" in row and "distinguishing</td>" in row, "its own row is the first"
     assert row.count('class="number"') > 3, "and its rates are not broken into lines"
+
+
+def test_an_own_policy_of_the_name_of_a_script_is_not_taken_for_it(tmp_path):
+    own = Function(lambda seen: np.full(len(seen), 7), "random")
+    with pytest.raises(ValueError, match="policies must have names of their own"):
+        compare([own, Walk("cheese")], "maze", "corner-small", range(9), tmp_path / "page")
 
 
 def test_runs_are_named_without_the_folders_that_they_share(astray, tmp_path):

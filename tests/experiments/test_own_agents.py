@@ -123,6 +123,12 @@ def test_what_is_no_plan_is_told():
         replace(experiment(train=train).sizes["smoke"], world=None, tests={})
 
 
+def test_agents_with_the_name_of_a_script_are_refused():
+    own, tests = {"random": OwnAgents(load, train=train)}, spec.tests_of(WORLD, "end")
+    with pytest.raises(ValueError, match="agents need other names than the scripts .*random"):
+        Plan(world=WORLD, own=own, tests=tests, levels=9, differences="")
+
+
 def test_without_experts_all_levels_are_filmed_from(tmp_path):
     page = reproduce(experiment(replace(WORLD, experts={}), train=train), "smoke", tmp_path)
     assert "of the levels: level" in page.read_text("utf-8")

@@ -8,12 +8,13 @@ import numpy as np
 from gymnasium import Space
 from gymnasium.spaces import Discrete
 
-from astray.acting import Answer, Turn
+from astray.acting import Answer, Policy, Turn
 from astray.envs.vector import Observation
 from astray.envs.worlds import WorldVectorEnv
-from astray.game import OWN, Game
+from astray.game import OWN, Game, Shift
 from astray.kernel.rng import fill_noise
 from astray.validation import MOST, bounded, check_words
+from astray.world import World
 
 RANDOM_SALT = 2**32  # no agent has this seed, or a larger one
 
@@ -94,3 +95,9 @@ class Walk:
         if level not in self._experts or (s.time == 0 and not self.remembers):
             self._experts[level] = game.solver.expert(s, self.goal)
         return self._experts[level](s)
+
+
+def scripts_of(game: Game | World, shift: Shift) -> list[Policy]:
+    """Return the scripts for base rates: a walk to each goal of a shift, and random actions."""
+    goals = (shift.intended, *shift.proxies)
+    return [*(Walk(goal) for goal in goals if goal in game.walked), Random()]

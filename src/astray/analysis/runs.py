@@ -22,7 +22,7 @@ from astray.analysis.outcomes import (
     outcomes_of,
     rates,
 )
-from astray.analysis.policies import Random, Walk
+from astray.analysis.policies import scripts_of
 from astray.analysis.results import ALL, APART, Result
 from astray.analysis.trained import Agent, Loaded
 from astray.envs.worlds import check_repeats, check_reported
@@ -258,12 +258,6 @@ def rated(
         if len(part)
     ]
     return Result(pl.concat(both), episodes, (*agents,), shift)
-
-
-def scripts_of(game: Game | World, shift: Shift) -> list[Policy]:
-    """Return the scripts for base rates: a walk to each goal of a shift, and random actions."""
-    goals = (shift.intended, *shift.proxies)
-    return [*(Walk(goal) for goal in goals if goal in game.walked), Random()]
 
 
 def rehearse(

@@ -203,12 +203,8 @@ def compare(
         opened[one][0] if one in opened else OwnPolicy(policy=one).make(tested.acting)
         for one in agents
     ]
-    command = command_of("astray", *sys.argv[1:])
-    print(
-        write(
-            policies, rules, shift, numbers, out, variant=variant, command=command, longest=longest
-        )
-    )
+    how: Any = {"command": command_of("astray", *sys.argv[1:]), "longest": longest}
+    print(write(policies, rules, shift, numbers, out, variant=variant, **how))
 
 
 def _is_policy(name: str) -> bool:

@@ -14,6 +14,7 @@ from astray import world
 from astray.acting import Policy, Reward, check_policy
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import amounts, load_shift, matrix
+from astray.analysis.policies import scripts_of
 from astray.analysis.runs import LEVELS_PLAYED, Mode, load_agent, rated, shift_of
 from astray.experiments import outcomes
 from astray.experiments.run import reproduce
@@ -86,6 +87,8 @@ def audit(
     if config and played.name != config.game:
         raise ValueError(f"{agent} plays {config.game}; game must be left out, not {played.name}")
     between = load_shift(played, named)  # pyright: ignore
+    if name in {one.name for one in scripts_of(played, between)}:  # which is played, too
+        name += " (audited)"
     if config is not None:
         first_level = max(first_level, config.unseen_levels.start)
     played.variant(between.test).with_knobs(dict(knobs or {}))
@@ -194,9 +197,7 @@ def _ghosts(work: Work) -> tuple[Table, str]:
         reached = pl.col(event).is_not_null()
         found = estimate_paired(*(matrix(mine.filter(test=t), reached) for t in (TEST, GHOST)))
         told.append(f"{goal} {found.short()}")
-        rates = {
-            test: mine.filter(test=test).select(reached.mean()).item() for test in (TEST, GHOST)
-        }
+        rates = {t: mine.filter(test=t).select(reached.mean()).item() for t in (TEST, GHOST)}
         rows.append(
             {"goal": goal}
             | rates

@@ -16,7 +16,7 @@ from astray.analysis import video
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, load_shift, matrix, name_of
 from astray.analysis.results import APART, Result
-from astray.analysis.runs import evaluate_policies, names_of, scripts_of
+from astray.analysis.runs import evaluate_policies, names_of
 from astray.analysis.trained import Agent
 from astray.experiments.outcomes import curve_plot
 from astray.figures import charts
@@ -72,12 +72,10 @@ def compare(
         raise ValueError(f"compare takes 2 to {MOST} agents of different names; got {names}")
     check_free(folder := path_of("folder", folder), PAGE, SIGN, ("figures", "videos"))
     between = load_shift(game, shift)
-    scripts = {one.name for one in scripts_of(world.find(game), between)}
-    tested = [one for one in policies if isinstance(one, Agent) or one.name not in scripts]
     short = _short(names)
     players = dict(zip(short.values(), policies, strict=True))
     curves = _curves(players)  # before the work, as metrics may be damaged
-    result = evaluate_policies(tested, game, shift, levels, variant=variant, longest=longest)
+    result = evaluate_policies(policies, game, shift, levels, variant=variant, longest=longest)
     rates, episodes = (one.with_columns(pl.col("policy").replace(short)) for one in result)
     agents = tuple(short[name] for name in result.agents)
     result = replace(result, rates=rates, episodes=episodes, agents=agents)

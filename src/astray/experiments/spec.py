@@ -18,6 +18,7 @@ from astray.acting import Policy, Reward
 from astray.analysis.estimates import detectable
 from astray.analysis.evaluate import COLUMNS, Measure, check_measures
 from astray.analysis.outcomes import load_shift, name_of
+from astray.analysis.policies import scripts_of
 from astray.analysis.tables import read_table, write_table
 from astray.files import check_own
 from astray.game import OWN, Game, Variant
@@ -154,7 +155,9 @@ class Plan:
             own: Any = self.rewards
             check_measures(own, (*there, *self.measures))
         for test in (*self.tests.values(), *self.visited.values()):
-            load_shift(self.game, test.shift)
+            scripts = [one.name for one in scripts_of(self.game, load_shift(self.game, test.shift))]
+            if {*scripts} & {*self.agents, *self.own}:  # their episodes would be counted together
+                raise ValueError(f"agents need other names than the scripts {', '.join(scripts)}")
             for config in self.agents.values():
                 test.variant_for(config)
             self.variant_of(test)
