@@ -110,7 +110,7 @@ def test_a_test_that_agents_could_not_play_is_told_before_training(tmp_path, kno
         ({"network": "impala"}, r"second cannot be trained: network 'impala' does not see symb"),
         (
             {"network": "mlp+gru", "num_envs": 2},
-            r"second cannot be trained: a minibatch of a network with memory",
+            r"second cannot be trained: 2 environments \(whole ones for a network with memory\)",
         ),
         ({"teacher": "nobody"}, r"second is a student of nobody: name it in `teachers`"),
         ({"start": "nobody"}, r"second cannot be trained: unknown agent 'nobody'"),

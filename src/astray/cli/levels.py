@@ -132,7 +132,8 @@ def overlap(
         return
     table = Table("same", "different in training", "different in test", "of the test seen")
     for row in shared.to_dicts():
-        table.add_row(row["same"], f"{row['training']:,}", f"{row['test']:,}", f"{row['seen']:.1%}")
+        seen = f"{100 * row['seen']:.1f} %"  # as in all tables
+        table.add_row(row["same"], f"{row['training']:,}", f"{row['test']:,}", seen)
     show(table)
 
 

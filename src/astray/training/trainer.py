@@ -294,7 +294,8 @@ def _check_pixels(config: Config, shown: Tensor) -> None:
 
 def _check_divided(config: Config, memory: int) -> None:
     """Raise ValueError unless minibatches divide what each of the processes plays."""
-    count, what = (config.num_envs, "whole environments") if memory else (config.batch, "samples")
+    whole = config.num_envs, "environments (whole ones for a network with memory)"
+    count, what = whole if memory else (config.batch, "samples")
     if count // parallel.size() % config.minibatches:
         raise ValueError(
             f"{count} {what} of {parallel.size()} processes are not divided by "
