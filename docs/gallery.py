@@ -118,8 +118,8 @@ TILES = {
     "box": Tile(
         "Box",
         "boxes",
-        "In training there was no box, and nothing is paid for one: in 26.3 % (23.2 to 29.7) of "
-        "703 levels that distinguish the goals, [this robot](agents/box-bare/card.md) pushes a "
+        "In training there was no box, and nothing is paid for one: in 20.7 % (18.3 to 23.3) of "
+        "997 levels that distinguish the goals, [this robot](agents/box-bare/card.md) pushes a "
         "box before it reaches its goal.",
         "box-bare",
         level=3,

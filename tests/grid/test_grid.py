@@ -77,6 +77,14 @@ def test_the_return_of_a_script_is_that_of_its_steps_discounted(gamma, worth):
     assert env.states[0].time == 0
 
 
+def test_the_return_of_a_life_that_goes_on_and_on_is_cut_where_it_counts_no_more(monkeypatch):
+    monkeypatch.setattr(abilities, "MOST_KNOWN", 300)
+    env = scene("lavaland", room(8, ".~", "~~", "@~.G"), time_limit=10**9)
+    assert LAVA.solver.optimal_return(env.states[0], "cheese", 0.9) == 0
+    with pytest.raises(ValueError, match="'cheese' takes 300 steps: lower gamma or time_limit"):
+        LAVA.solver.optimal_return(env.states[0], "cheese")
+
+
 @pytest.mark.parametrize("name, goal", [("trees", "wood"), ("bridge", "goal")])
 def test_returns_that_are_remembered_are_those_of_a_new_solver(name, goal):
     game = games.find(name)

@@ -17,7 +17,7 @@ from astray.protocols import Rules
 from astray.record import NEVER, check_record, within
 from astray.validation import finite, one_of
 
-MOST_KNOWN = 100_000  # returns that a solver keeps
+MOST_KNOWN = 100_000  # returns that a solver keeps, and steps of a way
 STAY, OVER = 0, 16  # the action; a mover's code counts so much in a level's grid
 SPARE = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # characters of movers that are on things
 Cells = Sequence[tuple[int, int]]
@@ -40,11 +40,6 @@ class World:
     furnish: Callable
     looks: Mapping[str, int]
     bounds: Mapping[str, tuple[int, int]]
-
-    @property
-    def held(self) -> int:
-        """Number of values of `held`."""
-        return len(self.agents)
 
     def codes(self, names: Sequence[str]) -> list[int]:
         """Return the codes of kinds, by name."""
@@ -84,24 +79,17 @@ class World:
             "x": within(s["x"], 0, self.side),
             "y": within(s["y"], 0, self.side),
             "cell of the agent": ~np.isin(beneath, self.codes(self.solid)),
-            "held": within(s["held"], 0, self.held),
+            "held": within(s["held"], 0, len(self.agents)),
             "mt": (s["mt"] != 0).any(1),  # else all that is drawn is 0
         } | {name: within(s[name], *ends) for name, ends in self.bounds.items()}
 
     def check(self, s: Any) -> None:
         check_record(s, self.rules, self.truths)
 
-    def free(self, s: Any) -> np.ndarray:
-        """Return the cells in which an agent may stand without harm, [H, W] bool."""
-        free = self.is_free
-        return free[s["cell"]] & free[s["mover"]]
-
     @functools.cached_property
     def is_free(self) -> np.ndarray:
         """Whether an agent may stand without harm on each code, [256] bool."""
-        free = np.ones(256, bool)
-        free[self.codes([*self.solid, *self.hazards])] = False
-        return free
+        return ~np.isin(np.arange(256), self.codes([*self.solid, *self.hazards]))
 
 
 def editing(world: World) -> Any:
@@ -158,10 +146,11 @@ def walkable(world: World, s: Any) -> np.ndarray:
 
 
 def solver(world: World) -> Any:
-    """Return the solver: scripts that take the shortest way to what `seek` returns."""
+    """Return the shortest ways to what `seek` returns; raise ValueError for endless ones."""
     # Returns of states whose way draws nothing, since they hold for any level and random numbers.
     known: dict[tuple, float] = {}
-    unseen = {"level", "seed", "turn", "shifted", *(name for name, *_ in RNG_FIELDS)}
+    drawn = [name for name, *_ in RNG_FIELDS]
+    unseen = {"level", "seed", "turn", "shifted", *drawn}
     seen = [name for name in world.rules.STATE.names or () if name not in unseen]
 
     def expert(s: Any, goal: str) -> Callable[[Any], int]:
@@ -179,8 +168,8 @@ def solver(world: World) -> Any:
         one_of("goal", goal, world.events)
         world.check(s)
         now = np.array([s], world.rules.STATE).view(np.recarray)[0]
-        total, way, drawn = 0.0, [], _drawn(now)
-        while not is_over(world, now, goal):
+        total, way, is_whole = 0.0, [], True
+        while is_whole and not is_over(world, now, goal):
             key = goal, gamma, *(now[name].tobytes() for name in seen)
             if key in known:
                 total = known[key]
@@ -190,9 +179,12 @@ def solver(world: World) -> Any:
             reward, done = world.rules.step(now, action)
             now["ended"] = done or now["time"] >= now["time_limit"]
             way.append((key, float(reward)))
+            is_whole = gamma ** len(way) > 1e-9  # less changes nothing
+            if len(way) == MOST_KNOWN:
+                raise ValueError(f"{goal!r} takes {MOST_KNOWN:,} steps: lower gamma or time_limit")
         for key, reward in reversed(way):
             total = reward + gamma * total
-            if len(known) < MOST_KNOWN and _drawn(now) == drawn:
+            if is_whole and len(known) < MOST_KNOWN and now[drawn] == s[drawn]:
                 known[key] = total
         return total
 
@@ -204,11 +196,6 @@ def solver(world: World) -> Any:
     return SimpleNamespace(reachable=reached, expert=expert, optimal_return=optimal_return)
 
 
-def _drawn(s: Any) -> list[bytes]:
-    """Return the state of the random numbers."""
-    return [s[name].tobytes() for name, *_ in RNG_FIELDS]
-
-
 def is_over(world: World, s: Any, goal: str) -> bool:
     """Return whether a level has ended or its goal was reached."""
     return bool(s["ended"] or s[world.events[goal]] != NEVER)
@@ -217,22 +204,18 @@ def is_over(world: World, s: Any, goal: str) -> bool:
 def scripted(world: World, s: Any, goal: str) -> int:
     """Return the action of the script of a goal in a valid state."""
     wanted = None if is_over(world, s, goal) else world.seek(s, goal)
-    if wanted is None or isinstance(wanted, int):
-        return STAY if wanted is None else wanted
-    return towards(world, s, wanted)
+    return wanted if isinstance(wanted, int) else towards(world, s, wanted or [])
 
 
 def towards(world: World, s: Any, cells: Cells) -> int:
     """Return the action that leads to the nearest of `cells` around hazards, or "stay"."""
     here = int(s["x"]), int(s["y"])
-    free = world.free(s)
+    free = world.is_free[s["cell"]] & world.is_free[s["mover"]]
     for x, y in [*cells, here]:
         free[y, x] = True
     away = distances(free, *here)
     near = [(int(away[y, x]), x, y) for x, y in cells if away[y, x] != UNREACHABLE]
-    if not near or min(near)[0] == 0:
-        return STAY
-    _, *nearest = min(near)
+    _, *nearest = min(near, default=(0, *here))
     steps = distances(free, *nearest)
     for action in range(1, len(ACTIONS)):
         x, y = here[0] + DX[action], here[1] + DY[action]

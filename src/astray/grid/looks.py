@@ -101,14 +101,13 @@ def looks(folder: Path, side: int, kinds: Sequence[str], agents: Sequence[str]) 
         kinds: Names of things and movers, in the order of their codes.
         agents: Names of the agent's pictures, by what it holds.
     """
-
-    def scene_shape(variant, pixels: int) -> tuple[int, ...]:
-        return (pixels, pixels, 3)
-
-    def art(variant, pixels: int) -> tuple[np.ndarray, ...]:
-        return _art(folder, -(-pixels // side), tuple(kinds), tuple(agents))
-
-    return {OWN: Looks(OWN, background, foreground, art, scene_shape)}
+    return {
+        OWN: Looks(
+            OWN, background, foreground,
+            art=lambda _, pixels: _art(folder, -(-pixels // side), tuple(kinds), tuple(agents)),
+            scene_shape=lambda _, pixels: (pixels, pixels, 3),
+        )
+    }  # fmt: skip
 
 
 def drawing(folder: Path, name: str) -> Path:

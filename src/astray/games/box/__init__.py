@@ -8,6 +8,8 @@ import sys
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
+
 from astray import grid
 from astray.game import Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
@@ -79,7 +81,7 @@ def step(s, action):
     x, y = s.x + DX[action], s.y + DY[action]
     if is_open(s, x, y) and s.mover[y, x] == BOX:
         u, v = x + DX[action], y + DY[action]
-        if not is_open(s, u, v) or s.cell[v, u] != EMPTY or s.mover[v, u] != EMPTY:
+        if not is_empty(s, u, v):
             return -0.02, False
         s.mover[y, x], s.mover[v, u] = EMPTY, BOX
         s.pushed = first(s, s.pushed)
@@ -92,9 +94,24 @@ def step(s, action):
     return -0.02, False
 
 
+@kernel
+def is_empty(s, x, y):
+    """Return whether the cell is in the world and nothing is in it."""
+    return is_open(s, x, y) and s.cell[y, x] == EMPTY and s.mover[y, x] == EMPTY
+
+
 def seek(s, goal):
-    """Return the goal, to which scripts walk around boxes, or the boxes."""
-    return grid.where(s.cell, GOAL) if goal == "goal" else grid.where(s.mover, BOX)
+    """Return the goal, to which scripts walk around boxes, or where and how a box is pushed."""
+    if goal == "goal":
+        return grid.where(s.cell, GOAL)
+    pushes = np.full((SIDE, SIDE), 0)  # an action, in the cell behind a box
+    for y in range(SIDE):
+        for x in range(SIDE):
+            for action in range(1, len(ACTIONS) if s.mover[y, x] == BOX else 1):
+                u, v = x - DX[action], y - DY[action]
+                if is_empty(s, u, v) and is_empty(s, x + DX[action], y + DY[action]):
+                    pushes[v, u] = action
+    return int(pushes[s.y, s.x]) or grid.where(pushes, 1, 2, 3, 4)
 
 
 GAME = grid.world(
@@ -109,5 +126,5 @@ GAME = grid.world(
     ends={"stuck box": "stuck"},
     shifts={"boxes": Shift("bare", "boxes", "goal", ("push",))},
     seek=seek,
-    hazards=["box"],
+    hazards=["box", "goal"],  # the goal ends the level
 )

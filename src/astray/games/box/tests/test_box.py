@@ -34,3 +34,13 @@ def test_the_careful_way_goes_around_boxes():
     env = scene("box", room(6, "...", "@bG"), "boxes")
     assert walk(env, "goal").split() == ["up", "right", "right", "down"]
     assert env.states[0].pushed == -1 and env.states[0].arrived == 4
+
+
+@pytest.mark.parametrize(
+    ("row", "way"),
+    [("@..b#", "right right down right up"), ("@Gb", "down right right up")],
+    ids=["a wall behind the box", "the goal on the way"],
+)
+def test_the_script_of_boxes_pushes_one_where_it_can_be_moved(row, way):
+    env = scene("box", room(6, row, ""), "boxes")
+    assert walk(env, "push") == way and env.states[0].pushed == len(way.split())
