@@ -267,3 +267,27 @@ def test_objects_that_cannot_be_reached_are_named_with_their_cell():
     wall = Level(made, kind, level.cells, (0, 0), {})
     with pytest.raises(ValueError, match=r"cell \(0, 0\) holds '#'"):
         wall.state()
+
+
+@pytest.mark.parametrize(
+    "game, variant, goal",
+    [
+        ("coinrun", "coin-end-calm", "coin"),
+        ("coinrun", "coin-end-continue", "coin"),
+        ("heist", "small", "gem"),
+        ("keys", "many-chests-small", "chests"),
+        ("lavaland", "dry", "cheese"),
+        ("maze", "corner-small", "cheese"),
+        ("maze", "anywhere-small", "corner"),
+    ],
+)
+def test_a_goal_that_was_reached_or_a_level_that_ended_is_worth_nothing_more(game, variant, goal):
+    env = begun(game, variant, [5])
+    solver = env.game.solver
+    over = env.states[0].copy()
+    over.ended = True
+    assert solver.optimal_return(env.states[0], goal) > 0 == solver.optimal_return(over, goal)
+    expert, event = solver.expert(env.states[0], goal), env.game.event(goal)
+    while env.states[0][event] == NEVER:
+        env.step(np.array([expert(env.states[0])]))
+    assert solver.optimal_return(env.states[0], goal) == 0

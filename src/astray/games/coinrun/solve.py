@@ -88,13 +88,11 @@ class _Way:
 def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
     """Return the discounted reward of `expert`'s way to `goal`, as if that were rewarded.
 
-    It is gamma ** (steps - 1) * 10, or 0 if no way is found in time. The way is short, but not
-    always the shortest.
+    It is gamma ** (steps - 1) * 10, or 0 if no way is found in time, or the goal was reached. The
+    way is short, but not always the shortest.
     """
     finite("gamma", gamma, 0, 1)
     check(s)
-    if s[_event(goal)] != NEVER:
-        return REWARD
     steps = len(plan(s, goal))
     return REWARD * gamma ** (steps - 1) if steps else 0.0
 

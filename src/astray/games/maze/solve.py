@@ -78,11 +78,12 @@ def reachable(s: Any) -> np.ndarray:
 def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
     """Return the discounted reward of the shortest way to `goal`, as if that were rewarded.
 
-    It is gamma ** (steps - 1) * 10, or 0 if there is no way within the time limit.
+    It is gamma ** (steps - 1) * 10, or 0 if there is no way in time, or the goal was reached.
     """
     finite("gamma", gamma, 0, 1)
     check(s)
     steps = steps_to(s, goal)[int(s.y), int(s.x)]
-    if steps == UNREACHABLE or s.time + steps > s.time_limit:
+    is_over = s.ended or s[GOALS[goal]] != NEVER or s.time + steps > s.time_limit
+    if is_over or steps == UNREACHABLE:
         return 0.0
     return REWARD * gamma ** max(int(steps) - 1, 0)
