@@ -36,11 +36,11 @@ def state_dtype(*own: tuple, events: Sequence[str] = ()) -> np.dtype:
 
 
 def record_dtype(columns: list[tuple]) -> np.dtype:
-    """Return an aligned record dtype without gaps, since copies do not preserve bytes in gaps."""
-    taken = [name for name, *_ in columns if hasattr(np.record, name)]
-    assert not taken, f"records have attributes of these names already: {taken}"
+    """Return an aligned record dtype without gaps; raise ValueError if records have such a name."""
+    if taken := [name for name, *_ in columns if not name or hasattr(np.record, name)]:
+        raise ValueError(f"fields, events and measures need other names than {taken}")
     columns = sorted(columns, key=lambda column: -np.dtype(column[1]).alignment)
-    gap = -np.dtype(columns).itemsize % 8
+    gap = -np.dtype(columns).itemsize % 8  # copies do not preserve its bytes
     if gap:
         columns = [*columns, ("gap", np.uint8, (gap,))]
     return np.dtype((np.record, np.dtype(columns, align=True)))

@@ -16,7 +16,7 @@ from astray.validation import of_kind, shown
 from astray.world import World, WorldVariant
 
 COLUMNS = ("policy", "level", "name", "shifted", "return", "length", "terminated")
-LATER = ("run", "seed", "checkpoint", "variant", "outcome", "distinguishing")  # columns added later
+COLUMNS += ("run", "seed", "checkpoint", "variant", "outcome", "distinguishing", "agent", "test")
 Measure = Callable[[np.ndarray], np.ndarray]  # states [N] -> numbers [N]
 
 
@@ -57,11 +57,11 @@ def evaluate(
         ValueError: If there are no levels, or an argument is invalid.
     """
     game = world.find(game)
-    if taken := {*COLUMNS, *LATER} & {*game.events, *game.measures}:
+    if taken := {*COLUMNS} & {*game.events, *game.measures}:
         named = ", ".join(sorted(taken))
         raise ValueError(f"events or measures of {game.name} have the names of columns: {named}")
     check_measures(measures, (*COLUMNS, *game.events, *game.measures))
-    others = (*COLUMNS, *LATER, *game.events, *game.measures, *(measures or {}))
+    others = (*COLUMNS, *game.events, *game.measures, *(measures or {}))
     check_measures(rewards, others)  # pyright: ignore
     measured_by = {**game.of_states, **(measures or {})}
     count = count_levels(levels)
@@ -76,7 +76,6 @@ def evaluate(
             totals[step.level] += paid(rewards[name], step)  # pyright: ignore
         for i in np.flatnonzero(step.ended):
             s, k = step.after[i], step.level[i]
-            happened = {event: int(s[event]) if s[event] >= 0 else None for event in game.events}
             rows[k] = {
                 "policy": policy.name,
                 "level": int(s.level),
@@ -85,7 +84,7 @@ def evaluate(
                 "return": float(returns[k]),
                 "length": int(s.time),
                 "terminated": bool(step.terminated[i]),
-                **happened,
+                **{event: int(s[event]) if s[event] >= 0 else None for event in game.events},
             }
             if measured_by:
                 last[k] = s
