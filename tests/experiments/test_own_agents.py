@@ -123,6 +123,32 @@ def test_what_is_no_plan_is_told():
         replace(experiment(train=train).sizes["smoke"], world=None, tests={})
 
 
+@pytest.mark.parametrize(
+    "part, given, said",
+    [
+        ("agents", None, "agents must be a Mapping; got None"),
+        ("agents", {"a": 5}, "'a' of agents must be a Config; got 5"),
+        ("published", [], r"published must be a Mapping; got \[\]"),
+        ("published", {"right": 5}, "'right' of published must be a str; got 5"),
+        ("teachers", {"right": 5}, "'right' of teachers must be a str or Config; got 5"),
+        ("starts", 5, "starts must be a Mapping; got 5"),
+        ("own", {"right": load}, "'right' of own must be a OwnAgents; got"),
+        ("tests", {"t": "end"}, "'t' of tests must be a Test; got 'end'"),
+        ("visited", (), r"visited must be a Mapping; got \(\)"),
+        ("first_seed", 1.5, "first_seed must be an integer from 0 to .*; got 1.5"),
+    ],
+)
+def test_parts_of_a_plan_are_of_their_kind(part, given, said):
+    with pytest.raises(ValueError, match=said):
+        replace(experiment(train=train).sizes["smoke"], **{part: given})
+
+
+@pytest.mark.parametrize("sizes", [None, 5, {}, [], {"smoke": 5}, {"large": None}])
+def test_sizes_of_an_experiment_are_plans(sizes):
+    with pytest.raises(ValueError, match=r"sizes must be plans for smoke, .*; got"):
+        replace(experiment(train=train), sizes=sizes)
+
+
 def test_agents_with_the_name_of_a_script_are_refused():
     own, tests = {"random": OwnAgents(load, train=train)}, spec.tests_of(WORLD, "end")
     with pytest.raises(ValueError, match="agents need other names than the scripts"):

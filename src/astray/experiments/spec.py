@@ -27,6 +27,7 @@ from astray.report.findings import Findings
 from astray.report.page import COMPUTED
 from astray.training.config import MACHINE, PRESETS, SOLVER, Config, Device, Named
 from astray.training.folders import START, TEACHER
+from astray.training.settings import SEEDS
 from astray.validation import MOST, bounded, of_kind, shown
 from astray.world import World
 
@@ -41,6 +42,7 @@ FEEDING = 4  # threads of the environments of a training on a GPU, which waits f
 PUBLISHED: Size = "published"  # of agents that others trained: nothing is trained
 Place = Literal["here", "ray"]  # where agents are trained
 Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each name
+NAMING = {"published": str, "teachers": str | Config, "starts": str}  # parts of plans, by names
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,13 @@ class Plan:
     speed: int = 0  # environment steps that a core trains with in a second, as measured; 0: unknown
 
     def __post_init__(self) -> None:
+        kinds = {"agents": Config, "own": OwnAgents, "tests": Test, "visited": Test} | NAMING
+        for part, kind in kinds.items():
+            of_kind(part, given := getattr(self, part), Mapping)
+            for name, one in given.items():
+                of_kind(f"{shown(name)} of {part}", one, kind)
         bounded("seeds", self.seeds, 1, MOST)
+        bounded("first_seed", self.first_seed, 0, SEEDS - 1)
         bounded("speed", self.speed, 0, MOST)
         if not set(self.published) <= set(self.agents):
             raise ValueError("`published` must name agents of the plan")
@@ -134,17 +142,14 @@ class Plan:
         for name in self.agents.keys() - students - set(self.published):
             if (teacher := self.agents[name].teacher) not in (None, SOLVER):
                 raise ValueError(f"{name} is a student of {teacher}: name it in `teachers`")
-        fewest = min(
-            (len(config.unseen_levels) for config in self.agents.values()), default=math.inf
-        )
+        fewest = min([MOST, *(len(config.unseen_levels) for config in self.agents.values())])
         bounded("levels", self.levels, 1, fewest)
         if self.device and (self.published or self.own):
             raise ValueError(f"device is for agents that are trained here; got {self.device!r}")
         if self.own and self.first_level is None:
             object.__setattr__(self, "first_level", OWN_LEVELS)
         if self.first_level is not None:
-            last = LEVELS.stop - self.levels
-            bounded("first_level", self.first_level, LEVELS.start, last)
+            bounded("first_level", self.first_level, LEVELS.start, LEVELS.stop - self.levels)
         self._check_own()
         games = {config.game for config in self.agents.values()}
         if (self.tests or self.visited) and self.world is None and len(games) != 1:
@@ -152,8 +157,7 @@ class Plan:
         if self.agents or self.world is not None:
             there = (*COLUMNS, *self.game.events, *self.game.measures)
             check_measures(self.measures, there)
-            own: Any = self.rewards
-            check_measures(own, (*there, *self.measures))
+            check_measures(self.rewards, (*there, *self.measures))  # pyright: ignore
         for test in (*self.tests.values(), *self.visited.values()):
             scripts = [one.name for one in scripts_of(self.game, load_shift(self.game, test.shift))]
             if {*scripts} & {*self.agents, *self.own}:  # their episodes would be counted together
@@ -167,7 +171,6 @@ class Plan:
         if (self.world is None) == bool(self.own) or (self.own and self.agents):
             raise ValueError("a plan has either agents, or own agents and the world they play")
         for name, given in self.own.items():
-            of_kind("own agents", given, OwnAgents)
             if (given.train is None) != (len(given.files) == self.seeds):
                 raise ValueError(
                     f"own agents {name!r} need `train`, or `files`: one for each of {self.seeds} "
@@ -177,8 +180,7 @@ class Plan:
     def variant_of(self, test: Test) -> Any:
         """Return the variant of a test as the first agents play it."""
         if self.world is not None:
-            given: Any = test.variant
-            return self.game.variant(given).with_knobs(dict(test.knobs))
+            return self.game.variant(test.variant).with_knobs(dict(test.knobs))  # pyright: ignore
         return test.variant_for(self.config)
 
     def power(self) -> list[float]:
@@ -380,9 +382,9 @@ class Experiment:
     name: str = ""  # of its report; empty for that of its file or title
 
     def __post_init__(self) -> None:
-        wrong = [size for size in self.sizes if size not in SIZES]
-        if wrong or not self.sizes:
-            raise ValueError(f"sizes must be some of {', '.join(SIZES)}; got {list(self.sizes)}")
+        parts = isinstance(self.sizes, Mapping) and self.sizes.values()
+        if not parts or {*self.sizes} - {*SIZES} or not all(isinstance(x, Plan) for x in parts):
+            raise ValueError(f"sizes must be plans for {', '.join(SIZES)}; got {shown(self.sizes)}")
 
     def check_installed(self) -> None:
         """Raise ImportError if a package for the findings is missing."""

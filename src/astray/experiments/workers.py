@@ -66,10 +66,8 @@ def expected(todo: Mapping[Path, Config], speed: int, workers: int | None = None
     Args:
         speed: Steps per second of one training on a core.
     """
-    left = []
-    for run, config in todo.items():
-        steps = checkpoint.steps_saved(run)
-        left.append(max(config.steps - max(steps, default=0), 0))
+    done = {run: max(checkpoint.steps_saved(run), default=0) for run in todo}
+    left = [max(config.steps - done[run], 0) for run, config in todo.items()]
     at_once = min(workers or usable_processors(), len(left))
     # Not less than the longest takes, and all of them share the processors.
     seconds = max(max(left), sum(left) / at_once) / speed
