@@ -34,7 +34,6 @@ class _Lent:
 
     def __init__(self) -> None:
         self.lock, self.inside, self.output = threading.Lock(), 0, 0
-        self.own = sys.stdout, sys.stderr
 
     def __enter__(self) -> None:
         with self.lock:

@@ -33,9 +33,7 @@ def read_levels(
     if path.is_dir():
         return _read_folder(path, game, variant, solvable)
     try:
-        data = read(path, LARGEST_FILE)
-        wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # Windows PowerShell's >
-        text = data.decode("utf-16" if wide else "utf-8-sig").replace("\r\n", "\n")
+        text = text_of(path, LARGEST_FILE)
         if path.suffix in (".json", ".jsonl"):
             found = [Level.from_json(game, variant, value) for value in _json_values(text)]
         else:
@@ -50,6 +48,13 @@ def read_levels(
         raise ValueError(f"there are no levels in {path}")
     names = [path.name] if len(found) == 1 else [f"{path.name}:{k + 1}" for k in range(len(found))]
     return dict(zip(names, found, strict=True))
+
+
+def text_of(path: Path, most: int) -> str:
+    """Return the text in a file of at most `most` bytes, in UTF-8 or, marked as such, UTF-16."""
+    data = read(path, most)
+    wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # Windows PowerShell's >
+    return data.decode("utf-16" if wide else "utf-8-sig").replace("\r\n", "\n")
 
 
 def read_level(path: Path, game: Game, variant: Variant, *, solvable: bool = False) -> Level:

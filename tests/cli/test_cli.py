@@ -194,6 +194,8 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
         ),
         ("lab --num-levels 5", "--num-levels says how many are exported: it needs --export FOLDER"),
         ("lab maze-corner --export x --port 80", "--export writes files and opens no --port"),
+        ("lab maze-corner --export x --level 50", "levels 0 to 49 are exported; --num-levels says"),
+        ("lab maze-corner --observation image", "--observation image needs --policy; agents have"),
         ("evaluate maze-corner --art original", "--art draws images; this policy sees symbolic"),
         ("export maze-corner --art original --out x", "--art draws images; this policy sees symb"),
         (
@@ -226,6 +228,12 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
 )
 def test_mistakes_are_explained(astray, words, message):
     assert message in astray(*words.split(), fails=True)
+
+
+def test_actions_are_read_as_powershell_writes_them(astray, tmp_path):
+    path = tmp_path / "actions"
+    path.write_text("left right", "utf-16")
+    assert "left" in astray("replay", "maze", "corner-small", "--level", "1", "--actions", path)
 
 
 def test_an_unknown_action_is_explained(astray, tmp_path):

@@ -36,8 +36,7 @@ def main() -> None:
             run()
         except ModuleNotFoundError as error:
             raise imports.needed_by("the command astray", error) from None
-        if sys.stdout:
-            sys.stdout.flush()
+        sys.stdout.flush()
     except BrokenPipeError:
         code = UNREAD
     except imports.Terminated:
@@ -91,9 +90,8 @@ def _check_folder() -> None:
 def _tell(what: str) -> None:
     """Write the first line of `what` to standard error; libraries add pages to it."""
     line = printable(next(iter(what.strip().splitlines()), ""))
-    if sys.stderr:
-        with contextlib.suppress(OSError):
-            print(f"astray: {shortened(line)}{guess(line)}", file=sys.stderr)
+    with contextlib.suppress(OSError):
+        print(f"astray: {shortened(line)}{guess(line)}", file=sys.stderr)
 
 
 def guess(line: str) -> str:

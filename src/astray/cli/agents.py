@@ -149,9 +149,8 @@ def evaluate(
     player, rules, config = policy.open(agents, tested.acting, {"--shift": tested.shift})
     tested.acting.check_seen(player)
     if config is None:
-        assert tested.shift is not None
-        test = {"variant": tested.variant, "knobs": pairs(tested.knobs)}
-        result = evaluate_policies([player], rules, tested.shift, played, **test, **how)
+        test: Any = {"shift": tested.shift, "levels": played, "variant": tested.variant}
+        result = evaluate_policies([player], rules, **test, knobs=pairs(tested.knobs), **how)
     else:
         result = evaluate_runs(agents, played, pool=pool, **tested.words(), **how)
     if out:

@@ -50,6 +50,10 @@ def lab(
         raise ValueError("--num-levels says how many are exported: it needs --export FOLDER")
     if port is not None and export is not None:
         raise ValueError("--export writes files and opens no --port; give one of them")
+    if export is not None and (level.level or 0) >= exported:
+        raise ValueError(f"levels 0 to {exported - 1} are exported; --num-levels says how many")
+    if policy.policy is None and policy.observation is not None:
+        raise ValueError(f"--observation {policy.observation} needs --policy; agents have theirs")
     level.check()
     policy.check_game("lab")
     shown: Any = agent
@@ -58,8 +62,7 @@ def lab(
             raise ValueError("--export writes agents of run folders; a policy needs Python to act")
         shown, rules, _ = policy.open(agent, Acting(), needs={})
         policy = replace(policy, game=rules.name)
-    given = level.level_file or level.level
-    start: dict[str, Any] = {"game": policy.game, "variant": variant, "level": given}
+    start: Any = {"game": policy.game, "variant": variant, "level": level.level_file or level.level}
     if export is not None:
         from astray.lab.export import check_exportable
         from astray.lab.export import export as write

@@ -19,9 +19,9 @@ from astray.cli.arguments import (
     show,
 )
 from astray.envs.beginnings import in_chunks
-from astray.files import read
 from astray.game import OWN, Game
 from astray.level import Level
+from astray.level_files import text_of
 from astray.record import NEVER
 
 LONGEST = 2**20  # characters of actions: more than any episode has
@@ -82,7 +82,7 @@ def replay(
     from astray.analysis.replay import replay as run
 
     rules, levels = game.open()
-    text = standard_input(LONGEST) if str(actions) == "-" else read(actions, LONGEST).decode()
+    text = standard_input(LONGEST) if str(actions) == "-" else text_of(actions, LONGEST)
     begun = level.begun(rules, levels)
     if begun is None:
         raise ValueError("name a --level or a --level-file")

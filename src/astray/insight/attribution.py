@@ -70,10 +70,9 @@ def integrated_gradients(
     """
     _check(agent, observations)
     bounded("steps", steps, 1, MOST)
-    if baseline is not None:
-        of_kind("baseline", baseline, np.ndarray)
-    method = _captum().IntegratedGradients(_value(agent))
     baseline = np.zeros_like(observations) if baseline is None else baseline
+    of_kind("baseline", baseline, np.ndarray)
+    method = _captum().IntegratedGradients(_value(agent))
 
     def attribute(x: Tensor, before: Tensor) -> Tensor:
         return method.attribute(x, before, n_steps=steps, internal_batch_size=4 * CHUNK)

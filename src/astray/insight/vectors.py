@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -224,10 +225,8 @@ def effects(
                 shown[condition.edit] = _seen(agent, variant, condition.edit(level), looked_at, to)
             observations, advancing = shown[condition.edit]
             vectors = {v.layer: v.each[k] if condition.own else v.mean for v in condition.vectors}
-            if vectors:
-                with steer(agent, vectors, condition.coefficient):
-                    policy, value = policy_and_value(agent, observations)
-            else:
+            steered = steer(agent, vectors, condition.coefficient) if vectors else nullcontext()
+            with steered:
                 policy, value = policy_and_value(agent, observations)
             chance = (policy * advancing).sum(1)
             n = len(some)

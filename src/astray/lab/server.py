@@ -6,6 +6,7 @@ Content-Security-Policy restricts what the page may load and run.
 """
 
 import asyncio
+import importlib
 import json
 import logging
 import secrets
@@ -247,7 +248,5 @@ def serve(lab: Lab, port: int, browse: bool) -> None:
 
 def _check_installed() -> None:
     with imports.extra("lab", "the lab needs starlette, uvicorn and websockets"):
-        import starlette
-        import uvicorn
-        import websockets
-    del starlette, uvicorn, websockets
+        for name in ("starlette", "uvicorn", "websockets"):
+            importlib.import_module(name)
