@@ -222,6 +222,12 @@ def test_a_server_that_never_comes_to_its_answer_is_not_waited_for(tmp_path, mon
     assert not left(tmp_path)
 
 
+def test_a_file_without_a_digest_is_not_shorter_than_it_is_to_be(serve, tmp_path):
+    with pytest.raises(OSError, match="ended after 6 of 7 bytes"):
+        download(serve(HELLO).address, tmp_path / "a", size=7, digest=None)
+    assert not (tmp_path / "a").exists()
+
+
 def test_no_more_is_taken_than_was_published(serve, tmp_path):
     server = serve(bytes(3_000_000))
     with pytest.raises(ValueError, match="is not the file that was published"):

@@ -196,13 +196,12 @@ def in_time(ask: Callable[[], T], stop: Callable[[], None], arrived: Callable[[]
 def _checked(address: str, part: Path, size: int | None, digest: str | None) -> bytes:
     """Return the downloaded bytes if their size and digest are right."""
     data = read(part, LARGEST)
-    if digest is None:
-        return data
     if size is not None and len(data) < size:
         raise OSError(
-            f"{address} ended after {len(data):,} of {size:,} bytes; the same command goes on from "
-            "them"
+            f"{address} ended after {len(data):,} of {size:,} bytes; the same command tries again"
         )
+    if digest is None:
+        return data
     if (found := digest_of(data, digest)) != digest:
         part.unlink()
         kind = "git blob id" if len(digest) == BLOB else "SHA-256"
