@@ -143,6 +143,8 @@ def test_a_number_or_a_fact_of_another_type_is_refused(wrong, message):
         (lambda: evaluate(Random(), "maze", SMALL, [1], until=EVENT), "until must be a tuple or"),
         (lambda: measure_of([1, "two"]), r"'m' must return 2 values of one type; got \[1, 'two'\]"),
         (lambda: measure_of(np.zeros(2, complex)), "'m' must return 2 values of one type"),
+        (lambda: evaluate_runs(["maze-corner"], [1], knobs=5), "knobs must be a Mapping; got 5"),
+        (lambda: Config().variant_for("anywhere", ["world"]), "knobs must be a Mapping; got"),
         (lambda: measure_of([1]), "'m' must return 2 values of one type"),
         (lambda: small(levels=MASKED), "levels must be integers of .*masked"),
         (lambda: Episode(3, WALK.trajectory), "world must be a World; got 3"),

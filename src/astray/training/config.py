@@ -18,7 +18,7 @@ from astray.record import LEVELS
 from astray.training import older
 from astray.training.named import name_of_variant, stored
 from astray.training.settings import SCORING, Fast, Sampling, check, otherwise
-from astray.validation import one_of, shown
+from astray.validation import of_kind, one_of, shown
 from astray.world import World
 
 if TYPE_CHECKING:
@@ -269,6 +269,7 @@ class Config:
         Raises:
             ValueError: If it cannot have `changes`.
         """
+        of_kind("knobs", changes or {}, Mapping)
         if isinstance(variant, str):
             changes = self.knobs_for(variant, changes or {})
         return self.find_game().variant(variant).with_knobs(changes or {})
