@@ -16,6 +16,7 @@ from astray.analysis.runs import open_run
 from astray.analysis.trained import Agent
 from astray.envs.pictures import picture
 from astray.envs.vector import GameVectorEnv
+from astray.experiments import catalogue
 from astray.games.maze.variants import Maze
 from astray.training.config import Config
 from helpers import processes
@@ -117,6 +118,14 @@ def test_symbols_need_no_pictures(tmp_path, monkeypatch):
     monkeypatch.setenv("ASTRAY_ART", str(tmp_path))
     env = GameVectorEnv("coinrun", "coin-end", 2, observation="symbolic", art="original")
     env.reset(seed=0)
+
+
+def test_pictures_of_videos_are_missed_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setenv("ASTRAY_ART", str(tmp_path))
+    with pytest.raises(FileNotFoundError, match="the original's pictures are not in"):
+        open_run("maze-corner", art="original")  # which sees symbols
+    with pytest.raises(FileNotFoundError, match="the original's pictures are not in"):
+        catalogue.load("maze-corner").sizes["smoke"].drawn_with("original")
 
 
 @pytest.mark.parametrize(

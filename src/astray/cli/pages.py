@@ -89,8 +89,7 @@ def explain(
         given = f"--level-file {command_of(str(level.level_file))}"
     # Probes do not learn from the level that they read.
     after = [one for one in unseen[1 : num_levels + 2] if one != number][:num_levels]
-    opens = f"astray lab {player.words} --variant {name} {given}"
-    told: dict[str, Any] = {"lab": opens, "why": why}
+    told: Any = {"lab": f"astray lab {player.words} --variant {name} {given}", "why": why}
     if config and isinstance(agent, Agent):
         deviation = AgentFolder.of(agent.path).deviation()
         told |= {"gamma": config.gamma, "lam": config.lam, "deviation": deviation}

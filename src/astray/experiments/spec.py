@@ -215,7 +215,8 @@ class Plan:
                 raise ValueError(f"published agents see the art that they know; got {shown(art)}")
             return self
         for config in self.agents.values():
-            config.find_game().drawn(art)
+            if (looks := config.find_game().drawn(art)) and art != OWN:
+                looks.pictures(config.training_variant(), 64)  # of videos, too: before the work
         agents = {name: replace(config, art=art) for name, config in self.agents.items()}
         return replace(self, agents=agents)
 

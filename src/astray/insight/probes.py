@@ -249,7 +249,6 @@ def readings(
         ImportError: If scikit-learn is not installed.
         ValueError: If a layer is unknown or no label is left.
     """
-    of_kind("labels", labels, Mapping)
     check_measures(labels, ())
     need_sklearn()
     both = [observe(agent, variant, some) for some in (states, here)]
