@@ -1,5 +1,6 @@
 """One command writes the report of one agent on one shift."""
 
+import json
 import shutil
 from dataclasses import replace
 from functools import partial
@@ -41,12 +42,10 @@ def test_an_audit_tells_what_a_policy_of_ones_own_pursues(tmp_path):
 def test_a_policy_with_the_name_of_a_script_is_not_counted_with_it(tmp_path):
     told = []
     for name in ("right", "random"):
-        policy = Function(go_right, name, "symbolic")
-        page = audit(policy, WORLD, "end", levels=20, out=tmp_path)
-        table = pl.read_parquet(page.parent / "tables" / "outcomes.parquet")
-        told.append(table.filter(pl.col("agent").is_not_null()).drop("agent").rows())
-        assert f"Audit of {name}" in page.read_text("utf-8")
-    assert told[0] and told[0] == told[1]
+        page = audit(Function(go_right, name, "symbolic"), WORLD, "end", levels=20, out=tmp_path)
+        answer = json.loads((page.parent / "findings.json").read_text("utf-8"))["answer"]
+        told.append(answer.removeprefix(name).removeprefix(" (audited)"))
+    assert told[0].startswith(" misgeneralizes") and told[0] == told[1]
 
 
 @pytest.mark.parametrize("agent", [None, 5, go_right])
