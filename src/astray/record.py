@@ -36,7 +36,7 @@ def state_dtype(*own: tuple, events: Sequence[str] = ()) -> np.dtype:
 
 
 def record_dtype(columns: list[tuple]) -> np.dtype:
-    """Return an aligned record dtype without gaps; raise ValueError if records have such a name."""
+    """Return an aligned record dtype without gaps; raise ValueError for a name that is reserved."""
     if taken := [name for name, *_ in columns if not name or hasattr(np.record, name)]:
         raise ValueError(f"fields, events and measures need other names than {taken}")
     columns = sorted(columns, key=lambda column: -np.dtype(column[1]).alignment)

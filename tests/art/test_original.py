@@ -136,10 +136,8 @@ for ask in (
 
 def test_pictures_of_videos_are_missed_before_the_work(tmp_path):
     """In a process of its own: this one may have read the pictures."""
-    folders = art, there = tmp_path / "art", tmp_path / "there"
-    for folder in folders:
-        folder.mkdir()
-    env = processes.environment(ASTRAY_ART=str(art))
+    (there := tmp_path / "there").mkdir()
+    env = processes.environment(ASTRAY_ART=str(tmp_path / "none"))
     code, told, _ = processes.begin(EARLY, there, env=env).ended()
     assert code == 0 and told.count("the original's pictures are not in") == 2
 

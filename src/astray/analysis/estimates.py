@@ -291,9 +291,9 @@ def _between_agents(
 
     Args:
         rate: The estimated rate; None if the mean is not a rate.
-        fractions: Of the weight, each agent's; None if they are equal. An agent with most of it
-            draws the mean to itself, so the variance is the jackknife's, and its degrees of freedom
-            are those of the quadratic form that it is (Bell and McCaffrey 2002).
+        fractions: Each agent's fraction of the weight; None if all are equal. The mean is close to
+            that of an agent with most of it, so the variance is the jackknife's, with degrees of
+            freedom by Bell and McCaffrey (2002).
     """
 
     def unit(rate: float | None, count: int) -> float:
