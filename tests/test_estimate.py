@@ -19,6 +19,7 @@ def test_words_say_what_was_averaged():
     assert states.change() == (
         "-0.50 (95\u00a0% interval -1.00 to +0.25, over 2 agents and 30 levels, n = 90)"
     )
+    assert Estimate(0.5, 0.1, 0.9, 1, 1, 1).over() == "1 level, of this agent alone"
     assert Estimate(1234.5, 1.0, 2.0, 1, 2, 2).amount(2).startswith("1.2e+03 (")
 
 

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
+from astray.validation import counted
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -60,7 +62,7 @@ class Estimate:
 
     def over(self) -> str:
         """Describe what the interval is over: agents, levels, or both."""
-        levels = f"{self.levels:,} levels"
+        levels = counted(self.levels, "level")
         both = f"{self.agents} agents" + (f" and {levels}" if self.levels > 1 else "")
         told = f"{levels}, of this agent alone" if self.agents == 1 else both
         several = self.rows > self.agents * self.levels

@@ -167,6 +167,11 @@ def brief(error: object) -> str:
     return text if len(text) <= 300 else f"{text[:297]}..."
 
 
+def counted(count: int, thing: str) -> str:
+    """Return a number of things, such as "1 level" or "2,000 levels"."""
+    return f"{count:,} {thing}{'s' * (count != 1)}"
+
+
 def command_of(*words: str) -> str:
     """Return a command line that bash, cmd and PowerShell read alike, as far as words allow it.
 

@@ -22,7 +22,7 @@ from astray.analysis import video
 from astray.analysis.estimates import Estimate, estimate_mean
 from astray.analysis.outcomes import load_shift
 from astray.game import Game, Shift, Variant
-from astray.validation import check_cell, one_of
+from astray.validation import check_cell, counted, one_of
 from astray.witness import witnessed
 from astray.world import Layout, World, WorldVariant
 
@@ -209,9 +209,9 @@ class Assessment:
         )
         factor = self.agent
         return (
-            f"{verdict}. {len(self.episodes)} episodes with {self.decisions} steps at which the "
-            f"goals part; an episode speaks for an agent by {factor.mean:.2f} nats "
-            f"[{factor.low:.2f}, {factor.high:.2f}]."
+            f"{verdict}. {counted(len(self.episodes), 'episode')} with "
+            f"{counted(self.decisions, 'step')} at which the goals part; an episode speaks for an "
+            f"agent by {factor.mean:.2f} nats [{factor.low:.2f}, {factor.high:.2f}]."
         )
 
 

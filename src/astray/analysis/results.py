@@ -13,6 +13,7 @@ from astray import imports
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.estimate import Estimate
 from astray.game import Shift
+from astray.validation import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -99,7 +100,7 @@ class Result:
             FAILED: f"fail{s}: {it} reach{es} no goal",
         }
         levels = rates[agent, INTENDED].levels
-        where = f"of {levels:,} levels" if levels > 1 else "of 1 level"
+        where = f"of {counted(levels, 'level')}"
         where += f" that distinguish{'es' * (levels == 1)} the goals" if which == APART else ""
         for outcome, words in goals.items():
             rate = rates[agent, outcome]

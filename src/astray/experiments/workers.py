@@ -28,6 +28,7 @@ from astray.training import checkpoint
 from astray.training.config import Config, Tracking
 from astray.training.log import METRICS, measured
 from astray.training.track import train_tracked
+from astray.validation import counted
 from astray.world import World
 
 SECONDS, QUIET = 0.5, 60.0  # from one look at the runs to the next; from line to line
@@ -75,9 +76,9 @@ def expected(todo: Mapping[Path, Config], speed: int, workers: int | None = None
     native = get_host_cpu_features().get("avx512bf16")
     slower = "" if native else f" with bfloat16 products (without, as here, {SLOWER})"
     return (
-        f"{len(left)} agents, {trained} of them trained; {sum(left) / 1e6:,.1f} million steps are "
-        f"left, about {seconds / 3600:.1f} hours with {at_once} at once, at {speed:,} steps a "
-        f"second and core{slower}; stopped, the same command goes on"
+        f"{counted(len(left), 'agent')}, {trained} of them trained; {sum(left) / 1e6:,.1f} million "
+        f"steps are left, about {seconds / 3600:.1f} hours with {at_once} at once, at {speed:,} "
+        f"steps a second and core{slower}; stopped, the same command goes on"
     )
 
 

@@ -30,7 +30,7 @@ from astray.insight.interventions import sees_world
 from astray.level import Level
 from astray.report.findings import Code, Plot, Section, Table
 from astray.report.page import write_page
-from astray.validation import bounded, path_of, slug
+from astray.validation import bounded, counted, path_of, slug
 
 PAGE = "explain.html"
 WRITER = "astray explain"
@@ -346,7 +346,7 @@ def _episode(asked: Asked) -> list[Section]:
     )
     happened = {n.replace("_", " "): k for n, k in course.events.items() if k is not None}
     events = [f"{name} at step {k}" for name, k in happened.items()]
-    said = f"{len(course.table)} steps: {', '.join(events) or 'no event'}."
+    said = f"{counted(len(course.table), 'step')}: {', '.join(events) or 'no event'}."
     if course.idle:
         said += f" The last {course.idle} steps, in one or two places, are not drawn."
     if not isinstance(asked.agent, Opaque) and not asked.deviation:

@@ -65,7 +65,13 @@ class Trainer:
         if config.validation:
             other, unseen = config.variant_for(config.validation), config.unseen_levels
             self.validation = Player(config, other, unseen, 2, groups, reward=own_reward)
-            _check_alike(config, self.player.space.shape, self.validation.space.shape)
+            shapes = [player.space.shape for player in (self.validation, self.player)]
+            if shapes[0] != shapes[1]:
+                raise ValueError(
+                    f"validation must be a variant whose observations have the shape of the "
+                    f"training's; got {config.validation!r} of {shapes[0]}, and "
+                    f"{config.variant!r} of {shapes[1]}"
+                )
         game, space = self.player.game, self.player.space
         largest = ()
         if config.observation == "symbolic" and not isinstance(game, World):
@@ -300,15 +306,6 @@ def _check_divided(config: Config, memory: int) -> None:
         raise ValueError(
             f"{count} {what} of {parallel.size()} processes are not divided by "
             f"{config.minibatches} minibatches"
-        )
-
-
-def _check_alike(config: Config, trained: tuple | None, validated: tuple | None) -> None:
-    """Raise ValueError if the two variants need different networks."""
-    if trained != validated:
-        raise ValueError(
-            f"validation must be a variant whose observations have the shape of the training's; "
-            f"got {config.validation!r} of {validated}, and {config.variant!r} of {trained}"
         )
 
 

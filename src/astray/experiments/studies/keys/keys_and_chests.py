@@ -104,7 +104,6 @@ def plan(config: Config, shift: str, **more: Any) -> Plan:
     return plan_of(THIEF, config, "keys", shift, measures=hoarding.measures(config.gamma), **more)
 
 
-PAPER = replace(PRESETS["paper"], device="cuda")
 SMALL_MAZES = (
     "mazes of 5 and 7 cells instead of 5 to 13, with 1 to 3 keys in training instead of 1 to 6"
 )
@@ -133,23 +132,20 @@ EXPERIMENT = Experiment(
             "million",
         ),
         "night": plan(
-            maze_corner.NIGHT.changed(network="strided-impala", steps=8_000_000, taught=0.5),
+            maze_corner.NIGHT.changed(network="strided-impala"),
             "many-keys",
             seeds=3,
             differences="a network of two strided convolutions before one of the paper's blocks, "
-            "and 8 million steps instead of 200 million: 0.8 million of them in mazes that grow, 4 "
-            "million with the exact solver as teacher, which says the way from anywhere in a maze, "
-            "and the last 4 million by rewards alone in the paper's own levels; a discount of "
-            "0.995 instead of 0.999, and an entropy bonus of 0.003 instead of 0.01",
+            + maze_corner.LESSONS,
             speed=2500,
         ),
         "hour": plan(
-            replace(PAPER, steps=25_000_000),
+            replace(maze_corner.PAPER, steps=25_000_000),
             "many-keys-easy",
             differences="worlds of 9 cells instead of 13, and 25 million steps instead of "
             "200 million",
         ),
-        "paper": plan(PAPER, "many-keys", seeds=3, levels=10_000, differences=""),
+        "paper": plan(maze_corner.PAPER, "many-keys", seeds=3, levels=10_000, differences=""),
     },
     find=find,
 )
