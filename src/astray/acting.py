@@ -171,22 +171,27 @@ def play(actor: Actor, stage: Stage[Taken], steps: int | None = None) -> Iterato
 
 
 class Asking:
-    """Actor that asks a policy, which may write to what it is shown, and stores its memory."""
+    """Actor that asks a policy and stores its memory."""
 
     def __init__(self, policy: Policy):
         self.policy, self.memory = policy, None
 
     def send(self, t: int, group: int, turn: Turn) -> None:
         memory = self.memory if turn.kept is None else rows(self.memory, turn.kept)
-        self._turn = turn._replace(memory=memory, observations=copy.deepcopy(turn.observations))
+        self._turn = turn._replace(memory=memory)
 
     def receive(self, group: int) -> Answer:
-        answer = self.policy.actions(self._turn)  # not before: nobody may ask for the last turn's
-        of_kind("what a policy returns", answer, Answer)
-        check_rows(answer.memory, len(self._turn.begins))
+        answer = asked(self.policy, self._turn)  # not before: nobody may ask for the last turn's
         self.memory = answer.memory
-        actions = checked_actions(self.policy.name, answer.actions, self._turn)
-        return answer._replace(actions=actions)
+        return answer
+
+
+def asked(policy: Policy, turn: Turn) -> Answer:
+    """Return the checked answer of a policy, which may write to a copy of the observations."""
+    answer = policy.actions(turn._replace(observations=copy.deepcopy(turn.observations)))
+    of_kind("what a policy returns", answer, Answer)
+    check_rows(answer.memory, len(turn.begins))
+    return answer._replace(actions=checked_actions(policy.name, answer.actions, turn))
 
 
 def checked_actions(name: str, chosen: Any, turn: Turn) -> np.ndarray:

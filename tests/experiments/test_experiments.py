@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -21,8 +22,10 @@ from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.runs import open_run
 from astray.experiments import catalogue, labs, outcomes, run, videos
 from astray.experiments.outcomes import rate
+from astray.experiments.spec import plan_of
 from astray.experiments.studies.coinrun import attribution
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
+from astray.game import Looks
 from astray.report import page as report
 from astray.report.claims import Claim, above
 from astray.training import checkpoint
@@ -206,7 +209,13 @@ def test_other_agents_and_other_code_compute_anew(reports, monkeypatch):
     assert computed() == first
     (one, two) = sorted((reports / "agents").glob("*/seed-*"))
     agents = [checkpoint.latest(folder) / checkpoint.AGENT for folder in (one, two)]
+    other = agents[1].read_bytes()
     shutil.copy(*agents)
+    with pytest.raises(
+        ValueError, match=r"two of these hold one agent: .*seed-0, .*seed-1; remove"
+    ):
+        computed()
+    agents[0].write_bytes(other)
     second = computed()
     assert second > first
     edit(monkeypatch, "astray.analysis.evaluate")
@@ -274,6 +283,17 @@ def test_a_caption_changes_the_tables_of_its_own_study_alone(name, monkeypatch):
         assert digest_of_tables(name) == before
     edit(monkeypatch, itself)
     assert digest_of_tables(name) != before
+
+
+@pytest.mark.parametrize("observation", ["image", "symbolic"])
+def test_tables_are_computed_anew_where_agents_see_other_pictures(observation, monkeypatch):
+    sees = {"observation": "image", "network": "nature"} if observation == "image" else {}
+    config = TINY.changed(**sees)
+    plan = plan_of("mouse", config, "maze", "corner-small", differences="")
+    before = run.inputs(plan, {})[1]
+    assert run.inputs(plan, {})[1] == before
+    monkeypatch.setattr(Looks, "pictures", lambda *_: (np.zeros(3),))
+    assert (run.inputs(plan, {})[1] != before) == (observation == "image")
 
 
 def test_tables_are_computed_anew_where_a_test_has_another_variant(monkeypatch):

@@ -244,6 +244,34 @@ def test_a_network_is_asked_once_a_step_by_all_who_ask_the_agent(mouse, monkeypa
     assert len(calls) == 2 and not first.equal(mouse.outputs(env.reset(seed=1)[0])[0])
 
 
+@dataclass
+class Overwrites:
+    """Acts as a policy does, and clears what it was shown."""
+
+    policy: object
+    name: str = "overwrites"
+    observation: str = "symbolic"
+    art: str = "own"
+
+    def actions(self, turn):
+        answer = self.policy.actions(turn)
+        turn.observations[:] = 0
+        return answer
+
+
+class OverwritesByTime(ByTime):
+    def __call__(self, env, observations):
+        observations[:] = 0
+        return super().__call__(env, observations)
+
+
+def test_what_a_novice_or_a_score_writes_to_its_observations_is_shown_to_nobody_else(mouse):
+    plain = play(Helped(mouse, mouse, ByTime((1, 2, 5)), 0.5), MAZE, ANYWHERE, LEVELS)
+    novice, score = Overwrites(mouse), OverwritesByTime((1, 2, 5))
+    helped = Helped(novice, copy.copy(mouse), score, 0.5)
+    assert play(helped, MAZE, ANYWHERE, LEVELS).equals(plain)
+
+
 def test_a_novice_and_an_expert_are_shown_the_same(mouse):
     sighted = copy.copy(mouse)
     sighted.architecture = replace(mouse.architecture, largest=())

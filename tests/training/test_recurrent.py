@@ -17,6 +17,7 @@ from astray.analysis.adapters import from_trainer
 from astray.analysis.evaluate import evaluate
 from astray.mitigation.uncertainty import OfLogits
 from astray.training import checkpoint, loop, ppo
+from astray.training.checks import UNROLLED
 from astray.training.trainer import Trainer
 from helpers.trainings import TINY, digest, train_to_first_checkpoint
 
@@ -275,6 +276,31 @@ class Drags(Own):
 def test_a_network_that_learns_from_other_memories_than_it_acts_by_is_refused(network):
     with pytest.raises(ValueError, match="must say the same step by step, in recall, and of"):
         next(loop.iterate(CONFIG, network=network))
+
+
+class Flattens(Own):
+    """Gives a sequence as one row of steps."""
+
+    def unroll(self, observation, state, begins):
+        logits, values, state = super().unroll(observation, state, begins)
+        return logits.flatten(0, 1), values.flatten(), state
+
+
+class Doubles(Own):
+    """Gives the logits of long sequences twice."""
+
+    def unroll(self, observation, state, begins):
+        logits, values, state = super().unroll(observation, state, begins)
+        return logits.repeat(1, 1 + (len(observation) > UNROLLED), 1), values, state
+
+
+@pytest.mark.parametrize(
+    "network, said",
+    [(Flattens, "what Flattens says differs by inf"), (Doubles, "also in learning")],
+)
+def test_a_sequence_of_another_shape_is_refused(network, said):
+    with pytest.raises(ValueError, match=said):
+        next(loop.iterate(replace(CONFIG, num_steps=2 * UNROLLED), network=network))
 
 
 class Shares(Own):

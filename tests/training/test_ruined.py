@@ -73,6 +73,31 @@ def test_a_network_that_returns_something_else_is_refused(tmp_path, network):
         train(TINY, tmp_path, network=network, progress=False)
 
 
+class Pools(OneColumn):
+    """Returns one value for all observations in acting, some time later."""
+
+    calls, most, acts = 0, 14, True
+
+    def forward(self, x):
+        logits, values = super().forward(x)
+        self.calls += torch.is_grad_enabled() != self.acts
+        return logits, values[:, 0].mean() if self.calls > self.most else values[:, 0]
+
+
+class PoolsInLearning(Pools):
+    most, acts = 1, False
+
+
+@pytest.mark.filterwarnings("ignore:training runs")
+@pytest.mark.parametrize(
+    "network, said",
+    [(Pools, r"must return .*; got \[\(4, 15\), \(\)\]"), (PoolsInLearning, "also in learning")],
+)
+def test_a_network_that_returns_something_else_later_is_refused(tmp_path, network, said):
+    with pytest.raises(ValueError, match=said):
+        train(TINY, tmp_path, network=network, progress=False)
+
+
 def nothing(network, batch, config):
     return None
 

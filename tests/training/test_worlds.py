@@ -9,6 +9,8 @@ import pytest
 import torch
 from gymnasium import spaces
 
+from astray.analysis.adapters import from_trainer
+from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import evaluate_runs, load_agent
 from astray.envs.restarting import Restarting, action_table, as_seen
 from astray.experiments import outcomes, spec
@@ -40,6 +42,14 @@ def test_an_agent_learns_the_proxy_of_a_world(run):
     assert last["training/return"] > 0.95 > last["validation/return"]
     result = evaluate_runs([run], np.arange(200_000, 200_100))
     assert "misgeneralizes: it pursues end, not square" in result.verdict
+
+
+@pytest.mark.parametrize("knobs", [{"trouble": "parts"}, {"vector": True}])
+def test_a_trainers_policy_plays_as_its_checkpoint_does(knobs, tmp_path):
+    variant = WORLD.variant("anywhere").with_knobs(knobs)
+    for iteration in iterate(replace(SMALL, steps=512, knobs=knobs), tmp_path):
+        live = evaluate(from_trainer(iteration.trainer), WORLD, variant, range(20))
+    assert live.equals(evaluate(load_agent(tmp_path), WORLD, variant, range(20)))
 
 
 def test_a_trained_agent_plays_as_in_a_loop_by_hand(run):

@@ -1,6 +1,5 @@
 """Adapters: functions, models of other libraries, and running trainings as policies."""
 
-import copy
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,8 +11,7 @@ from gymnasium.spaces import Box, Discrete
 
 from astray.acting import Answer, Turn, checked_actions
 from astray.agents import policy as trained
-from astray.agents.recurrent import Recurrent
-from astray.analysis.trained import AT_ONCE, Network, chosen, recalled
+from astray.analysis.trained import AT_ONCE, Network, answered
 from astray.envs.vector import Observation
 from astray.game import OWN
 from astray.imports import guarded
@@ -70,7 +68,7 @@ class Function:
         """Return an action per observation; raise ValueError if the function does not."""
         told = (turn.memory, turn.begins) if self.remembers else ()
         with guarded(self.name, ValueError, ImportError):  # which say what is wrong
-            answer = self.choose(copy.deepcopy(turn.observations), *told)  # it may write to it
+            answer = self.choose(turn.observations, *told)
         answer = answer if self.remembers else (answer, None)
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise ValueError(f"{self.name} must return actions and its memory; got {shown(answer)}")
@@ -176,20 +174,20 @@ def from_torchrl(
 class Learner:
     """The network of a running training as a policy; see `from_trainer`."""
 
-    trainer: Trainer
+    network: torch.nn.Module
     name: Literal["sampled", "greedy"]
     observation: Observation
     art: str
+    seed: int
+    device: str
+
+    def outputs(self, observations: np.ndarray) -> tuple[torch.Tensor, ...]:
+        """Return logits [N, A] and values [N] for observations [N, ...]."""
+        shown = torch.from_numpy(observations).to(self.device)
+        return trained.outputs(self.network, shown, AT_ONCE[self.observation])
 
     def actions(self, turn: Turn) -> Answer:
-        config, network, memory = self.trainer.config, self.trainer.network, None
-        chunk = AT_ONCE[self.observation]
-        if isinstance(network, Recurrent):
-            logits, memory = recalled(network, turn, config.device, chunk)
-        else:
-            shown = torch.from_numpy(turn.observations).to(config.device)
-            logits = trained.outputs(network, shown, chunk)[0]
-        return Answer(chosen(logits, self.name, config.seed, turn.env), memory)
+        return answered(self, turn)
 
 
 def from_trainer(trainer: Trainer, mode: Literal["sampled", "greedy"] = "sampled") -> Learner:
@@ -199,4 +197,5 @@ def from_trainer(trainer: Trainer, mode: Literal["sampled", "greedy"] = "sampled
         mode: "sampled" samples actions from the policy, "greedy" takes the most likely.
     """
     one_of("mode", mode, Literal["sampled", "greedy"])
-    return Learner(trainer, mode, trainer.config.observation, trainer.config.art)
+    its = trainer.config
+    return Learner(trainer.network, mode, its.observation, its.art, its.seed, its.device)

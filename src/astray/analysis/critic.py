@@ -153,8 +153,7 @@ def policy_and_value(
         episode: Whether these are all observations of one episode from its first step on; an agent
             with memory then remembers the earlier ones.
     """
-    in_order = {"episode": True} if episode and agent.caveat else {}
-    logits, values = agent.outputs(observations, **in_order)
+    logits, values = agent.outputs(observations, episode=episode)
     return logits.double().softmax(-1).numpy(force=True), values.double().numpy(force=True)
 
 

@@ -1,6 +1,5 @@
 """Evaluation of trained agents beside the base rates of scripted policies."""
 
-import hashlib
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ import torch
 
 from astray import world
 from astray.acting import Levels, Policy, Reward, check_ending, check_policy
-from astray.agents.policy import usable
+from astray.agents.policy import usable, weights
 from astray.analysis.evaluate import Measure, evaluate
 from astray.analysis.outcomes import (
     label,
@@ -74,14 +73,6 @@ def load_agent(run: str | Path, mode: Mode = "sampled", art: str | None = None) 
         ValueError: If its files are damaged or cannot be used.
     """
     return open_run(run, mode, art)[0]
-
-
-def _digest(agent: Agent) -> str:
-    """Return a digest of the weights; of the loaded ones if the file is gone."""
-    digest = hashlib.sha256()
-    for name, tensor in agent.network.state_dict().items():
-        digest.update(name.encode() + tensor.cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()
 
 
 def shift_of(config: Config) -> str:
@@ -149,12 +140,12 @@ def evaluate_runs(
         raise ValueError(f"runs must be a list of run folders; got {shown(runs)}")
     opened = [open_run(run, mode, art) for run in runs]
     config = opened[0][1]
-    digests: dict[str, str | Path] = {}
+    files: dict[bytes, str | Path] = {}
     for run, (agent, _) in zip(runs, opened, strict=True):
-        digest = _digest(agent)
-        if digest in digests:  # a duplicate would make intervals too narrow
-            raise ValueError(f"{digests[digest]} and {run} are the same agent; give it once")
-        digests[digest] = run
+        file = weights(agent.network, agent.architecture, agent.game)
+        if file in files:  # a duplicate would make intervals too narrow
+            raise ValueError(f"{files[file]} and {run} are the same agent; give it once")
+        files[file] = run
     for run, (_, other) in zip(runs, opened, strict=True):
         for name in ("game", "variant", "knobs", *(["art"] if art is None else [])):
             if (mine := getattr(config, name)) != (its := getattr(other, name)):

@@ -73,6 +73,26 @@ def in_order(
     return logits[:, 0], values[:, 0]
 
 
+def answered(agent: Any, turn: Turn) -> Answer:
+    """Return the actions of a policy with a network; raise ValueError if logits do not give any."""
+    env, space, memory = turn.env, turn.env.single_action_space, None
+    actions = action_table(space)
+    if isinstance(env, WorldVectorEnv) and not isinstance(agent, Network):  # as in its training
+        seen = as_seen(env.single_observation_space, agent.observation, turn.observations)
+        turn = turn._replace(observations=seen)
+    if isinstance(agent.network, Recurrent) and not getattr(agent, "ask", None):
+        logits, memory = recalled(agent.network, turn, agent.device, AT_ONCE[agent.observation])
+    else:
+        logits, _ = agent.outputs(turn.observations)
+    name = f"the agent at {agent.path}" if isinstance(agent, Agent) else agent.name
+    if logits.shape[1] != len(actions):
+        raise ValueError(f"{name} has {logits.shape[1]} logits for actions of {space}")
+    if not logits.isfinite().all():
+        raise ValueError(f"{name} gives logits that are not finite")
+    mode: Any = getattr(agent, "mode", agent.name)
+    return Answer(actions[chosen(logits, mode, agent.seed, env)], memory)
+
+
 @dataclass
 class Agent:
     """A trained network; `mode` "sampled" samples actions, "greedy" takes the most likely."""
@@ -86,9 +106,7 @@ class Agent:
     network: torch.nn.Module = field(init=False, repr=False)
     architecture: policy.Architecture = field(init=False)
     threads: int = field(init=False, repr=False)  # threads of `outputs` on a CPU
-    # Within `asked_once`: the last observations and the network's outputs for them.
-    _keeps: bool = field(init=False, repr=False, compare=False, default=False)
-    _kept: Any = field(init=False, repr=False, compare=False, default=None)
+    _kept: Any = field(init=False, repr=False, compare=False, default=None)  # see `asked_once`
 
     def __post_init__(self) -> None:
         check_words(self)
@@ -144,7 +162,7 @@ class Agent:
             ValueError: If the observations have another shape, or are reals in place of integers.
         """
         of_kind("observations", observations, np.ndarray)
-        if self._kept and self._kept[0] is observations:
+        if self._kept and not episode and np.array_equal(self._kept[0], observations):
             return self._kept[1]
         shown, known = observations.shape[1:], self.architecture.shape
         if shown != known:
@@ -161,21 +179,18 @@ class Agent:
             logits, values = policy.outputs(self.network, shown_here, chunk)
         finally:
             torch.set_num_threads(before)
-        if self._keeps:
+        if self._kept is not None:
             self._kept = observations, (logits, values)
         return logits, values
 
     @contextlib.contextmanager
     def asked_once(self) -> Iterator[None]:
-        """Cache the network's outputs for each observation array, within the context.
-
-        Neither the arrays nor the network may change meanwhile.
-        """
-        self._keeps = True
+        """Cache the network's outputs for the last observations, in which it must not change."""
+        self._kept = ()
         try:
             yield
         finally:
-            self._keeps, self._kept = False, None
+            self._kept = None
 
     def actions(self, turn: Turn) -> Answer:
         """Return an action per state; raise ValueError for other art or nonfinite logits."""
@@ -184,19 +199,7 @@ class Agent:
             raise ValueError(
                 f"the agent is to see art {self.art!r}; these images are drawn with {env.art!r}"
             )
-        memory, actions = None, None
-        if isinstance(env, WorldVectorEnv):
-            seen = as_seen(env.single_observation_space, self.observation, turn.observations)
-            turn, actions = turn._replace(observations=seen), action_table(env.single_action_space)
-        if isinstance(self.network, Recurrent):
-            chunk = AT_ONCE[self.observation]
-            logits, memory = recalled(self.network, turn, self.device, chunk)
-        else:
-            logits, _ = self.outputs(turn.observations)
-        if not logits.isfinite().all():
-            raise ValueError(f"the agent at {self.path} gives logits that are not finite")
-        numbers = chosen(logits, self.mode, self.seed, env)
-        return Answer(numbers if actions is None else actions[numbers], memory)
+        return answered(self, turn)
 
 
 @dataclass
@@ -296,17 +299,7 @@ class Network:
 
     def actions(self, turn: Turn) -> Answer:
         """Return an action per observation; raise ValueError if the logits do not give one."""
-        space = turn.env.single_action_space
-        actions, memory = action_table(space), None
-        if self.caveat:
-            logits, memory = recalled(self.network, turn, self.device, AT_ONCE["image"])  # pyright: ignore
-        else:
-            logits, _ = self.outputs(turn.observations)
-        if logits.shape[1] != len(actions):
-            raise ValueError(f"{self.name} has {logits.shape[1]} logits for actions of {space}")
-        if not logits.isfinite().all():
-            raise ValueError(f"{self.name} gives logits that are not finite")
-        return Answer(actions[chosen(logits, self.mode, self.seed, turn.env)], memory)
+        return answered(self, turn)
 
 
 @dataclass
@@ -375,8 +368,8 @@ class Opaque(_Asks):
         count = len(env.game.actions)
         if isinstance(self.policy, Random):
             return np.full((len(observations), count), 1 / count)
+        begins = env.states["time"] == 0 if asking else np.ones(len(observations), bool)
         asking = asking or Asking(self)
-        begins = np.full(len(observations), asking.memory is None)
         asking.send(0, 0, Turn(env, observations, begins))
         return np.eye(count)[asking.receive(0).actions]
 

@@ -289,19 +289,26 @@ def note(text: bytes, digest: str, folder: Path) -> None:
 def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[bytes, str]:
     """Return JSON of everything that a plan's tables are computed from, and its digest.
 
-    Tables have it in their names, so none is reused for other inputs.
+    Tables have it in their names, so none is reused for other inputs. ValueError is raised if two
+    agents of a kind have the same weights, as after a copy.
 
     Args:
         whole: Experiment that computes further tables than the episodes.
     """
+    agents = {n: [agent_digest(run, n in plan.own) for run in made] for n, made in runs.items()}
+    for name in agents.keys() - plan.own:
+        if len({*agents[name]}) < len(runs[name]):  # intervals would be too narrow
+            told = ", ".join(map(str, runs[name]))
+            raise ValueError(f"two of these hold one agent: {told}; remove the copy's folder")
     loaded = [sys.modules[name] for name in catalogue.MODULES.values() if name in sys.modules]
     study = [module for module in loaded if module.EXPERIMENT is whole]
     code = (whole.find, study) if whole else ()
     data = {
         "configs": {n: [c.identity() for c in made] for n, made in plan.trainings().items()},
-        "agents": {
-            n: [agent_digest(run, n in plan.own) for run in made] for n, made in runs.items()
-        },
+        "published": [
+            folders.read_config(runs[n][0]).identity() for n in runs if n in plan.published
+        ],
+        "agents": agents,
         "tests": {name: asdict(test) for name, test in plan.tests.items()},
         "visited": {name: asdict(test) for name, test in plan.visited.items()},
         "levels": [plan.first_level, plan.levels, plan.longest],
@@ -327,10 +334,19 @@ def resolved(plan: Plan) -> dict[str, Any]:
         f"{name} of {agent}": [
             test.variant_for(config).to_json(),
             asdict(load_shift(config.find_game(), test.shift)),
+            pictures_of(config, test.variant_for(config)),
         ]
         for name, test in {**plan.tests, **plan.visited}.items()
         for agent, config in plan.agents.items()
     }
+
+
+def pictures_of(config: Config, variant: Any) -> str:
+    """Return a digest of the pictures that agents are shown; originals are checked when read."""
+    is_shown = config.observation == "image" and not config.art.startswith("original")
+    looks = config.find_game().drawn(config.art) if is_shown else None  # a World renders its own
+    parts = looks.pictures(variant, 64) if looks else ()
+    return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()[:16]
 
 
 def provenance_of(configs: Iterable[Config], *things: object) -> str:

@@ -1,6 +1,7 @@
 """A novice that an expert helps, and a novice that is only watched."""
 
 import contextlib
+import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -9,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.acting import Answer, Levels, Policy, Turn, check_policy, steps
+from astray.acting import Answer, Levels, Policy, Turn, asked, check_policy, steps
 from astray.analysis.evaluate import Measure
 from astray.analysis.policies import Walk
 from astray.analysis.trained import Agent
@@ -89,18 +90,18 @@ class Helped(_Shown):
         env, n = turn.env, len(turn.begins)
         novice, expert, before = turn.memory or (None, None, np.zeros(n, bool))
         with _asked_once(self.novice, self.expert):
-            own = self.novice.actions(turn._replace(memory=novice))
+            own = asked(self.novice, turn._replace(memory=novice))
             scores = _scores(self.score, turn)
             helped = scores > self.threshold
             if self.granularity == "level":
                 helped |= before & ~turn.begins
             other = own
             if not isinstance(self.expert, Walk):
-                other = self.expert.actions(turn._replace(memory=expert))
+                other = asked(self.expert, turn._replace(memory=expert))
         led = other.actions.copy()
         if isinstance(self.expert, Walk):
-            asked = helped | turn.begins  # a level is learned in its first step
-            led[asked] = self.expert.ways(env.game, env.states[asked])
+            due = helped | turn.begins  # a level is learned in its first step
+            led[due] = self.expert.ways(env.game, env.states[due])
         return Answer(
             np.where(helped, led, own.actions),
             (own.memory, other.memory, helped),
@@ -125,14 +126,14 @@ class Alone(_Shown):
     def actions(self, turn: Turn) -> Answer:
         """Return the novice's actions; raise ValueError unless there are scores of each episode."""
         with _asked_once(self.novice):
-            own = self.novice.actions(turn)
+            own = asked(self.novice, turn)
             said = [_scores(score, turn) for score in self.scores]
         return own._replace(extra={f"{k}": scores for k, scores in enumerate(said)})
 
 
 def _scores(score: Score, turn: Turn) -> np.ndarray:
     """Return the scores [N] of a turn; raise ValueError if there is not one for each episode."""
-    given, n = score(turn.env, turn.observations), len(turn.begins)
+    given, n = score(turn.env, copy.deepcopy(turn.observations)), len(turn.begins)
     scores = np.asarray(given)
     if scores.shape != (n,) or scores.dtype.kind not in "biuf" or np.isnan(scores).any():
         raise ValueError(f"a score must be {n} numbers, one per episode; got {shown(given)}")

@@ -133,7 +133,7 @@ def _findings(path: Path) -> dict[str, Any]:
     """Return the contents of findings.json; raise ValueError if `write` did not write it."""
     try:
         found = json.loads(read(path))
-        json.dumps(found, ensure_ascii=False).encode()  # half a character can be on no page
+        json.dumps([found, f"{path}"], ensure_ascii=False).encode()  # or it can be on no page
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not JSON: {error}") from error
     kinds = dict.fromkeys(("answer", *(f.name for f in fields(Heading))), str)

@@ -75,7 +75,7 @@ class Sequences(Samples):
 
 
 def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Tensor]:
-    """Return PPO's loss on a minibatch as "loss", and further scalars to log.
+    """Return PPO's loss on a minibatch as "loss", and more to log; ValueError for wrong outputs.
 
     A function of the same arguments can replace it: see `training.loop.train`.
 
@@ -83,6 +83,8 @@ def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Ten
         network: Callable, observations [B, ...] -> logits [B, actions], values [B].
     """
     logits, value = network(minibatch.observation)
+    if not logits.shape[:-1] == value.shape == minibatch.action.shape:  # others would be broadcast
+        raise ValueError("a network must give a row for each observation, also in learning")
     of_all = log_probabilities(logits)
     log_probability = of_all.gather(-1, minibatch.action[:, None]).squeeze(-1)
     log_ratio = log_probability - minibatch.log_probability

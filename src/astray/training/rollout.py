@@ -100,9 +100,17 @@ class Rollout:
 def act(network: Callable, noise: Tensor, *shown_here: Tensor) -> tuple[Tensor, ...]:
     """Sample actions; return them, their log-probabilities and the critic's values, all [n].
 
-    A network with memory also returns its new states.
+    A network with memory also returns its new states. ValueError is raised for anything else.
     """
-    logits, value, *state = network(*shown_here)
+    returned = network(*shown_here)
+    wanted = [tuple(noise.shape), (len(noise),), *(tuple(x.shape) for x in shown_here[1:2])]
+    parts = returned if isinstance(returned, tuple | list) else [returned]
+    got = [tuple(x.shape) if isinstance(x, Tensor) else type(x).__name__ for x in parts]
+    if got != wanted:
+        raise ValueError(
+            f"a network must return logits, values and, with memory, its state, {wanted}; got {got}"
+        )
+    logits, value, *state = parts
     return *ppo.sample(logits, noise), value, *state
 
 

@@ -23,7 +23,7 @@ from astray.training.fast.graphs import Captured
 from astray.training.levels import Growing, MakeSampler, Mixed, Sampler
 from astray.training.player import RECENT, Player
 from astray.training.replay import Replay
-from astray.training.rollout import Actor, Rollout
+from astray.training.rollout import Actor, Rollout, act
 from astray.training.settings import SAMPLERS
 from astray.training.teacher import Solver, Teacher
 from astray.training.teacher import loss as distilled
@@ -90,7 +90,7 @@ class Trainer:
             if not own:
                 with imports.guarded(f"the network {config.network}", ValueError, ImportError):
                     seen = self.player.images.to(config.device)
-                    _check_outputs(self.network, self.architecture, seen)
+                    act(self.network, seen.new_zeros(len(seen), self.player.actions).float(), seen)
         self.weights = list(self.network.parameters())
         self.memory = self.network.memory if isinstance(self.network, Recurrent) else 0
         _check_divided(config, self.memory)
@@ -268,24 +268,6 @@ def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
     if config.sampler.kind == "uniform":
         return None
     return {"mixed": Mixed, "growing": Growing}.get(config.sampler.kind, Replay)(config)
-
-
-@torch.no_grad()
-def _check_outputs(network: nn.Module, architecture: Architecture, shown: Tensor) -> None:
-    """Raise ValueError unless a user's network returns logits, values and, with memory, a state."""
-    wanted = [(n := len(shown), architecture.actions), (n,)]
-    if isinstance(network, Recurrent):
-        wanted.append((n, network.memory))
-        state, begins = shown.new_zeros(wanted[2], dtype=torch.float32), shown.new_ones(n) > 0
-        returned = network.recall(shown, state, begins)
-    else:
-        returned = network(shown)
-    parts = returned if isinstance(returned, tuple | list) else [returned]
-    got = [tuple(x.shape) if isinstance(x, Tensor) else type(x).__name__ for x in parts]
-    if got != wanted:
-        raise ValueError(
-            f"a network must return logits, values and, with memory, its state, {wanted}; got {got}"
-        )
 
 
 def _check_pixels(config: Config, shown: Tensor) -> None:
