@@ -10,7 +10,7 @@ from torch import nn
 
 from astray.acting import initial_states
 from astray.analysis.adapters import from_sb3
-from astray.analysis.critic import visit
+from astray.analysis.critic import counterfactual, sees, visit
 from astray.analysis.overlap import overlap
 from astray.analysis.replay import replay
 from astray.analysis.trained import Network
@@ -65,6 +65,15 @@ def test_a_network_is_looked_into_in_a_world(network):
     assert capture(network, "anywhere", states, ["1"]).values["1"].shape == (len(states), 2)
     with ablate(network, "1", None):
         assert not network.outputs(seen)[0].any()
+
+    def emptied(states):
+        states["observation"][1:] = 0
+        return states
+
+    pairs = counterfactual(network, "anywhere", states, emptied)
+    assert pairs["seen"].to_list() == [False, *seen[1:].reshape(len(seen) - 1, -1).any(1).tolist()]
+    assert pairs["value_edited"][1] == float(network.outputs(0 * seen[:1])[1])
+    assert sees(network, "anywhere", emptied)(states).tolist() == pairs["seen"].to_list()
 
 
 def test_a_model_of_stable_baselines3_is_changed_and_read_in_a_world():

@@ -77,6 +77,21 @@ def test_probes_find_the_cheese_in_the_observation_and_not_in_shuffled_labels(mo
     assert inner["gain"] == pytest.approx(inner["score"] - inner["untrained"])
 
 
+def test_what_only_the_levels_of_one_fold_have_is_left_out(mouse):
+    states = np.repeat(initial_states("maze", SMALL, range(200_000, 200_012)), 24)
+    one, side = states["level"] == 200_005, np.arange(len(states)) % 2
+    labels = {
+        "rare class": lambda s: np.where(one, 2, side),
+        "rare label": lambda s: np.where(one, side, -1),
+        "rare number": lambda s: np.where(one, side + 0.5, np.nan),
+    }
+    found = probes.probe(mouse, SMALL, states, ["features.relu1"], labels, folds=3)
+    assert {*found["label"]} == {"rare class"} and found["chance"][0] == 1 / 2
+    assert found["states"][0] == np.count_nonzero(~one) and found["levels"][0] == 11
+    with pytest.raises(ValueError, match="no label of rare has two classes"):
+        probes.probe(mouse, SMALL, states, ["features.relu1"], {"rare": lambda s: one}, folds=3)
+
+
 def test_the_interval_of_a_score_is_over_levels():
     """As scores of levels that are drawn again vary; here the states of a level go together."""
     random = np.random.default_rng(0)

@@ -137,6 +137,18 @@ def test_levels_of_one_number_with_other_walls_are_foretold_each(mouse):
         assert score.imagined == min(imagined, 2)
 
 
+def test_levels_of_one_number_that_begin_elsewhere_or_end_sooner_are_foretold_each(mouse):
+    below = DRAWN.replace("G@", "G.").replace(".#.##\n#######\n", ".#@##\n#######\n", 1)
+    score = GoalPosterior(mouse, SHIFT, "misgeneralization")
+    for drawing, limit in ((DRAWN, 50), (below, 50), (DRAWN, 50), (DRAWN, 1)):
+        variant = ANYWHERE.with_knobs({"time_limit": limit})
+        env = GameVectorEnv("maze", variant, 1, observation="symbolic")
+        _, begin = beginnings({"one": Level.from_text(MAZE, variant, drawing)}, MAZE.state)
+        seen, _ = env.reset(seed=0, options={"state": begin})
+        alone = GoalPosterior(mouse, SHIFT, "misgeneralization")(env, seen)
+        assert score(env, seen) == alone == score(env, env.step(np.zeros(1, int))[0])
+
+
 def test_nobody_goes_astray_where_there_is_no_corner(mouse):
     cornerless = Level.from_text(MAZE, ANYWHERE, DRAWN.replace("#######", ".######", 1))
     env = GameVectorEnv("maze", ANYWHERE, 1, observation="symbolic")

@@ -126,7 +126,7 @@ def counterfactual(
         "value": value,
         "value_edited": value_edited,
         "change": value_edited - value,
-        "seen": (shown != edited).any((1, 2, 3)),
+        "seen": _differ(shown, edited),
         "policy": policy,
         "policy_edited": policy_edited,
         "policy_change": abs(policy_edited - policy).sum(1) / 2,
@@ -138,10 +138,15 @@ def sees(agent: Model, variant: str | Variant, edit: Edit) -> Measure:
     """Return the measure of whether `edit` changes the observation; it may raise ValueError."""
 
     def seen(states: np.ndarray) -> np.ndarray:
-        edited = observe(agent, variant, _edited(states, edit))
-        return (observe(agent, variant, states) != edited).any((1, 2, 3))
+        some = (states, _edited(states, edit))
+        return _differ(*(observe(agent, variant, each) for each in some))
 
     return seen
+
+
+def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return [N] bool, whether observations [N, ...] differ."""
+    return (one != other).any(tuple(range(1, one.ndim)))
 
 
 def policy_and_value(

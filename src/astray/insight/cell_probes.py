@@ -81,12 +81,12 @@ def fit(x: np.ndarray, truth: np.ndarray, levels: np.ndarray, *, seed: int = 0) 
             f"{truth.shape} and {np.shape(levels)}"
         )
     flat, y = np.moveaxis(x, 1, -1).reshape(-1, x.shape[1]), truth.reshape(-1)
-    if y.all() or not y.any():
-        raise ValueError("a probe needs cells of both kinds; all are of one")
     _, which, counts = np.unique(levels, return_inverse=True, return_counts=True)
     chance = np.repeat(1 / counts[which], truth[0].size)
     many = min(MOST, len(y))
     some = np.random.default_rng(seed).choice(len(y), many, replace=False, p=chance / chance.sum())
+    if np.unique(y[some]).size < 2:
+        raise ValueError(f"a probe needs cells of both kinds; all {many} drawn are of one")
     model = make_pipeline(
         StandardScaler(), LogisticRegression(class_weight="balanced", max_iter=FITS, C=0.1)
     )

@@ -57,7 +57,8 @@ def probe(
     shuffled), gain (score minus untrained), each with its 95 % interval ("score low", "score
     high"). Scores are balanced accuracy for classes, and R squared for numbers (below 0 if worse
     than the mean), over the predictions in all levels. Intervals are over levels, of this agent
-    alone; a level counts once. Labels with too few states or a single class are left out.
+    alone; a level counts once. Classes and numbers of too few states, or that are in the levels of
+    one fold alone, are left out, and so are labels with a single class.
 
     Args:
         states: [N], from several episodes; levels are split, so no level is in both parts.
@@ -80,13 +81,14 @@ def probe(
     begins = beginnings_in(states) if episodes else None
     shown = observe(agent, variant, states)
     known = {name: measured(name, measure, states).to_numpy() for name, measure in labels.items()}
-    known = {name: y for name, y in known.items() if _enough(y)}
+    fold = _folds(states["level"], folds)
+    known = {name: y for name, y in known.items() if _usable(y, fold).any()}
     if not known:
         raise ValueError(
-            f"no label of {', '.join(labels) or 'none'} has two classes of {LEAST} states each"
+            f"no label of {', '.join(labels) or 'none'} has two classes of {LEAST} states each in "
+            "several folds"
         )
     given = {SEEN: shown.astype(np.float32)} | activations(agent, shown, layers, begins)
-    fold = _folds(states["level"], folds)
     fresh = [activations(untrained(agent, k), shown, layers, begins) for k in range(folds)]
     rows = [
         {"label": label, "layer": layer}
@@ -123,11 +125,13 @@ def is_class(y: np.ndarray) -> bool:
     return y.dtype.kind in "biu"
 
 
-def _enough(y: np.ndarray) -> bool:
-    if not is_class(y):
-        return bool(np.count_nonzero(np.isfinite(y)) >= LEAST and np.nanstd(y) > 0)
-    _, counts = np.unique(y[y >= 0], return_counts=True)
-    return bool(np.count_nonzero(counts >= LEAST) >= 2)
+def _usable(y: np.ndarray, fold: np.ndarray) -> np.ndarray:
+    """Return a mask [N] of the states whose label is learned in some folds and told in others."""
+    kinds = y.astype(np.int64) if is_class(y) else np.where(np.isfinite(y), 0, -1)
+    counted = zip(*np.unique(kinds[kinds >= 0], return_counts=True), strict=True)
+    usable = [k for k, n in counted if n >= LEAST and np.unique(fold[kinds == k]).size > 1]
+    enough = len(usable) > is_class(y) and (is_class(y) or np.nanstd(y) > 0)
+    return np.isin(kinds, usable if enough else [])
 
 
 def _folds(levels: np.ndarray, folds: int) -> np.ndarray:
@@ -150,18 +154,13 @@ def _told(
     Args:
         fresh: Activations of the layer in an untrained network, for each fold.
     """
-    if is_class(y):
-        y = y.astype(np.int64)
-        classes, counts = np.unique(y[y >= 0], return_counts=True)
-        keep = np.isin(y, classes[counts >= LEAST])  # a class of a few states tells nothing
-        chance = 1 / np.count_nonzero(counts >= LEAST)
-    else:
-        keep, chance = np.isfinite(y), 0.0
+    keep = _usable(y, fold)
+    y = y.astype(np.int64) if is_class(y) else y
     x, y, levels, fold = x[keep], y[keep], levels[keep], fold[keep]
     told = {name: (y.copy(), np.zeros(len(y))) for name in SCORES}  # the truth, and what is told
     for k in range(len(fresh)):
         test, network = fold == k, fresh[k]
-        if not test.any() or test.all():
+        if not test.any():
             continue
         shuffled = np.random.default_rng(k).permutation(y)
         told["shuffled"][0][test] = shuffled[test]
@@ -176,7 +175,7 @@ def _told(
         "kind": "class" if is_class(y) else "number",
         "states": len(y),
         "levels": len(np.unique(levels)),
-        "chance": chance,
+        "chance": 1 / len(np.unique(y)) if is_class(y) else 0.0,
     }
     parts = {name: (parts, is_class(y)) for name, parts in found.items()}
     parts["selectivity"] = found["score"] - found["shuffled"], False
@@ -257,7 +256,8 @@ def readings(
         label: [measured(label, measure, some).to_numpy() for some in (states, here)]
         for label, measure in labels.items()
     }
-    if not (left := [label for label, (y, _) in values.items() if _enough(y)]):
+    learn = split(states["level"], 0)
+    if not (left := [label for label, (y, _) in values.items() if _usable(y, learn).any()]):
         raise ValueError(
             f"a label needs two classes of {LEAST} states, or {LEAST} numbers; none has them in "
             f"these {len(states)} states"
@@ -268,8 +268,8 @@ def readings(
         has = true[0] >= 0 if is_class(true) else np.isfinite(true[0])
         kind, y = y.dtype, y.astype(np.int64) if is_class(y) else y
         for layer in layers:
-            x, levels = given[layer][known], states["level"][known]
-            score = fit(x, y[known], split(levels, 0), 0)
+            x = given[layer][known]
+            score = fit(x, y[known], learn[known], 0)
             model, varies = _fitted(x, y[known], 0)
             told = model.predict(shown[layer].reshape(1, -1)[:, varies])[0]
             yield {

@@ -27,7 +27,7 @@ from astray.validation import of_kind, one_of, shown
 RANDOM_SALT = 2**34  # no agent has this seed, or a larger one
 ROUNDS = 300  # of expectation and maximisation
 RIDGE = 1e-3  # of the mean variance, added to every variance of features
-Key = tuple[int, str, bytes]  # of a level that is played
+Key = tuple[int, str, str, bytes]  # of a level that is played
 
 
 class Score(Protocol):
@@ -234,7 +234,8 @@ class GoalPosterior:
     kind: Literal["entropy", "misgeneralization"] = "entropy"
     cells: int = 12
     imagined: int = 0  # episodes so far
-    _known: dict[Key, float] = field(default_factory=dict, repr=False)
+    # Of each level, where the agent was when its score was found, and the score.
+    _known: dict[Key, tuple[Any, float]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         # A script remembers the levels that it is in, by number; imagined ones are others.
@@ -250,14 +251,15 @@ class GoalPosterior:
     def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
         keys = [self._key(env, s) for s in env.states]
         for key, s in zip(keys, env.states, strict=True):
-            if key not in self._known:
-                self._known[key] = self._imagine(env, s)
-        return np.array([self._known[key] for key in keys])
+            at = float(s.x), float(s.y)
+            if key not in self._known or (s.time == 0 and self._known[key][0] != at):
+                self._known[key] = at, self._imagine(env, s)
+        return np.array([self._known[key][1] for key in keys])
 
     def _key(self, env: GameVectorEnv, s: Any) -> Key:
-        """Return a key of the level being played: its number, the goals' places, its cells."""
+        """Return a key of the level being played: number, variant, the goals' places, cells."""
         places = agency.named_places(env.game, s, self.shift)
-        return int(s.level), repr(places), env.game.cells.free(s).tobytes()
+        return int(s.level), repr(env.variant), repr(places), env.game.cells.free(s).tobytes()
 
     def _imagine(self, env: GameVectorEnv, s: Any) -> float:
         """Play the level of a state, or its splay, and return the score of the episodes."""
