@@ -300,17 +300,17 @@ def posterior_video(
     ).frames[:steps]
     growth = measure_online(played.episode, replace(options, goals="accessible"))
     moved = [here != there for here, there in itertools.pairwise(played.cells)]
-    counted = np.cumsum([0, *moved])  # standing still is no step of a trajectory
+    moves = np.cumsum([0, *moved])  # standing still is no step of a trajectory
     world = played.episode.world
     numbers = [world.number(cell) for cell in growth.goals if not isinstance(cell, str)]
     maps = []
     for t in range(steps):
         belief = np.zeros(len(world))
-        belief[numbers] = growth.posterior[counted[t]]
+        belief[numbers] = growth.posterior[moves[t]]
         maps.append(heat(world, belief, world.number(played.cells[t]), pixels))
 
     def caption(t: int) -> str:
-        return f"where to? agent: {100 * growth.agent[counted[t]]:.0f} %"
+        return f"where to? agent: {100 * growth.agent[moves[t]]:.0f} %"
 
     level = f"level {played.level}"
     return video.beside(frames, np.stack(maps), captions=[level, caption])
