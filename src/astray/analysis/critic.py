@@ -126,7 +126,7 @@ def counterfactual(
         "value": value,
         "value_edited": value_edited,
         "change": value_edited - value,
-        "seen": _differ(shown, edited),
+        "seen": (shown != edited).reshape(len(shown), -1).any(1),
         "policy": policy,
         "policy_edited": policy_edited,
         "policy_change": abs(policy_edited - policy).sum(1) / 2,
@@ -138,15 +138,10 @@ def sees(agent: Model, variant: str | Variant, edit: Edit) -> Measure:
     """Return the measure of whether `edit` changes the observation; it may raise ValueError."""
 
     def seen(states: np.ndarray) -> np.ndarray:
-        some = (states, _edited(states, edit))
-        return _differ(*(observe(agent, variant, each) for each in some))
+        edited = observe(agent, variant, _edited(states, edit))
+        return (observe(agent, variant, states) != edited).reshape(len(states), -1).any(1)
 
     return seen
-
-
-def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return [N] bool, whether observations [N, ...] differ."""
-    return (one != other).any(tuple(range(1, one.ndim)))
 
 
 def policy_and_value(

@@ -4,8 +4,7 @@ import os
 import re
 import warnings
 
-# Environment variables with which numba fails to import, and what it takes. It starts no threads
-# here, and prints no errors in colour.
+# Environment variables with which numba may fail to import, and what it takes.
 TAKEN = {
     "NUMBA_NUM_THREADS": "[1-9][0-9]{0,4}",
     "NUMBA_COLOR_SCHEME": "no_color|dark_bg|light_bg|blue_bg|jupyter_nb",

@@ -234,8 +234,7 @@ class GoalPosterior:
     kind: Literal["entropy", "misgeneralization"] = "entropy"
     cells: int = 12
     imagined: int = 0  # episodes so far
-    # Of each level, where the agent was when its score was found, and the score.
-    _known: dict[Key, tuple[Any, float]] = field(default_factory=dict, repr=False)
+    _known: dict[Key, tuple[Any, float]] = field(default_factory=dict, repr=False)  # start, score
 
     def __post_init__(self) -> None:
         # A script remembers the levels that it is in, by number; imagined ones are others.
