@@ -211,9 +211,7 @@ def test_other_agents_and_other_code_compute_anew(reports, monkeypatch):
     agents = [checkpoint.latest(folder) / checkpoint.AGENT for folder in (one, two)]
     other = agents[1].read_bytes()
     shutil.copy(*agents)
-    with pytest.raises(
-        ValueError, match=r"two of these hold one agent: .*seed-0, .*seed-1; remove"
-    ):
+    with pytest.raises(ValueError, match=r"two of .*seed-0, .*seed-1 are one agent; remove"):
         computed()
     agents[0].write_bytes(other)
     second = computed()

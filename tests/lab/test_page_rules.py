@@ -162,6 +162,8 @@ REFUSED = {
     "return (s.a, 1) < (0, 2)": r"knows no '\(s.a, 1\) < \(0, 2\)'",
     "return np.uint64(1) + s.a": r"knows no 'np.uint64\(1\) \+ s.a'",
     "x = np.float32(s.a)\n x = s.a\n return x": "knows no 'x = s.a'",  # of 32 bits and of 64
+    "s.row += 1": "knows no 's.row'",
+    "s.row = s.b": "knows no 's.row'",
 }
 
 
@@ -202,11 +204,16 @@ def asks(s):
  """
 
 
+FIELDS = np.dtype(
+    [("a", int), ("t", bool), ("u", np.uint8), ("i", np.int16), ("row", np.uint8, 3), ("b", int, 3)]
+)
+
+
 def translated(folder, body):
     """A kernel of that body, in Python and in JavaScript with all that it needs."""
     (folder / "kernels.py").write_text(KERNELS + body + "\n")
     found = runpy.run_path(str(folder / "kernels.py"))
-    made = translate.Translation(dict.fromkeys(("a", "cell"), np.dtype(int)))
+    made = translate.Translation({"cell": np.dtype(int), **{n: FIELDS[n] for n in FIELDS.names}})
     assert made.name(found["asks"]) == "asks"
     return found["asks"], "\n".join([*made.constants.values(), *made.functions])
 
@@ -238,11 +245,28 @@ def translated(folder, body):
         "return 3 if [1] and s.a == 0 and [] and 1 else 4",
         "return min(TABLE) + 10 * max(TABLE) + 100 * max(s.a, 2, 1)",
         "return third(np.float64(s.a + 1)) + np.float64(third(np.float32(1)))",
+        "return (1.0 % 0.1) + 10 * (-0.7 % 0.2) + 100 * (5.5 % -2.0)",
+        "return (1.0 // 0.1) + 100 * (-1.0 // 0.3) + 10000 * ((-7) // 2) + (7 % -3)",
+        "s.t = s.a == 0\n return (s.t in (1, 2)) + 2 * ((s.t, 1) == (1, 1)) + 4 * (s.t in (0, 2))",
+        "return pair(s) == (False, False)",
     ],
 )
 def test_a_kernel_returns_what_it_does_in_python(chrome, static, exported, tmp_path, body):
-    s = np.zeros(1, [("a", int)]).view(np.recarray)[0]
+    s = np.zeros(1, FIELDS).view(np.recarray)[0]
     assert called(chrome, static, exported, tmp_path, body) == translated(tmp_path, body)[0](s)
+
+
+OF_COMPILED = {  # what integers of few bits are there; interpreted ones are refused
+    "s.u = 300\n s.i = 32767\n s.i += 2\n return s.u + 1000 * s.i": 44 - 32767000,
+    "s.u -= 1\n s.row[1] = 257\n return s.u + 1000 * s.row[1]": 1255,
+    "s.row[:] = s.b\n return s.row[0] + 10 * s.row[2]": 97,
+    "s.b[:] = s.a - 4\n return s.b[0] + 10 * s.b[2]": -44,
+}
+
+
+@pytest.mark.parametrize("body", OF_COMPILED)
+def test_a_field_holds_what_it_does_in_compiled_code(chrome, static, exported, tmp_path, body):
+    assert called(chrome, static, exported, tmp_path, body) == OF_COMPILED[body]
 
 
 @pytest.mark.parametrize("body", ["s.a = 3000000000\n return s.a * s.a", "return 1 << (s.a + 60)"])
@@ -260,6 +284,6 @@ def called(chrome, static, exported, tmp_path, body):
         return page.evaluate(
             """async () => {
               const { asks } = await import(new URL("rules/asks.js", location.href));
-              return asks({ a: 0 });
+              return asks({ a: 0, t: false, u: 0, i: 0, row: [0, 0, 0], b: [7, 8, 9] });
             }"""
         )

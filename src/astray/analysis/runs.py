@@ -140,12 +140,10 @@ def evaluate_runs(
         raise ValueError(f"runs must be a list of run folders; got {shown(runs)}")
     opened = [open_run(run, mode, art) for run in runs]
     config = opened[0][1]
-    files: dict[bytes, str | Path] = {}
-    for run, (agent, _) in zip(runs, opened, strict=True):
-        file = weights(agent.network, agent.architecture, agent.game)
-        if file in files:  # a duplicate would make intervals too narrow
-            raise ValueError(f"{files[file]} and {run} are the same agent; give it once")
-        files[file] = run
+    files = [weights(one.network, one.architecture, one.game) for one, _ in opened]
+    for k, file in enumerate(files):
+        if (first := files.index(file)) < k:  # a duplicate would make intervals too narrow
+            raise ValueError(f"{runs[first]} and {runs[k]} are the same agent; give it once")
     for run, (_, other) in zip(runs, opened, strict=True):
         for name in ("game", "variant", "knobs", *(["art"] if art is None else [])):
             if (mine := getattr(config, name)) != (its := getattr(other, name)):

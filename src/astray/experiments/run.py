@@ -39,7 +39,7 @@ from astray.report import page as report
 from astray.report.claims import corrected
 from astray.training import checkpoint, folders
 from astray.training.config import SOLVER, Config, Device, Fast, Tracking
-from astray.training.folders import AgentFolder
+from astray.training.folders import AgentFolder, read_config
 from astray.training.loop import begin, checked
 from astray.training.teacher import give
 from astray.training.track import check_installed
@@ -298,16 +298,13 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
     agents = {n: [agent_digest(run, n in plan.own) for run in made] for n, made in runs.items()}
     for name in agents.keys() - plan.own:
         if len({*agents[name]}) < len(runs[name]):  # intervals would be too narrow
-            told = ", ".join(map(str, runs[name]))
-            raise ValueError(f"two of these hold one agent: {told}; remove the copy's folder")
+            raise ValueError(f"two of {', '.join(map(str, runs[name]))} are one agent; remove one")
     loaded = [sys.modules[name] for name in catalogue.MODULES.values() if name in sys.modules]
     study = [module for module in loaded if module.EXPERIMENT is whole]
     code = (whole.find, study) if whole else ()
     data = {
         "configs": {n: [c.identity() for c in made] for n, made in plan.trainings().items()},
-        "published": [
-            folders.read_config(runs[n][0]).identity() for n in runs if n in plan.published
-        ],
+        "published": [read_config(runs[n][0]).identity() for n in runs if n in plan.published],
         "agents": agents,
         "tests": {name: asdict(test) for name, test in plan.tests.items()},
         "visited": {name: asdict(test) for name, test in plan.visited.items()},

@@ -57,8 +57,7 @@ def module(game: Game) -> str:
     world: Any = grid.world_of(game)
     (variant, *_) = game.variants.values()
     fields = {name: game.state[name] for name in game.state.names or ()}
-    reals = dict.fromkeys(knobs(type(variant)), np.dtype(float))
-    made = Translation(reals | {name: kind.base for name, kind in fields.items()})
+    made = Translation(dict.fromkeys(knobs(type(variant)), np.dtype(float)) | fields)
     called = {"step": made.name(game.rules.step)}
     moves = [name for name, kind in fields.items() if kind.shape and name in made.stored]
     planes = (game.symbols.background_planes, game.symbols.foreground_planes)

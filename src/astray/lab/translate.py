@@ -20,7 +20,7 @@ from astray.kernel.canvas import copy_flat, fill_flat
 from astray.validation import shown
 
 # What the page has itself: Python's functions -> JavaScript's, as "name" or "Math.name".
-OWN = {grid.where: "where", copy_flat: "copyFlat", fill_flat: "fill"}
+OWN = {grid.where: "where", copy_flat: "fill", fill_flat: "fill"}
 BUILT_IN: dict[Any, str] = {
     abs: "Math.abs", min: "Math.min", max: "Math.max", int: "Math.trunc", bool: "Boolean",
     np.sign: "Math.sign", np.int64: "Math.trunc", np.floor: "Math.floor", np.ceil: "Math.ceil",
@@ -46,7 +46,7 @@ WHOLE: dict[type, str] = SIGNS | {  # between integers of 64 bits
 NUMPY = np.ndarray | np.generic
 Kind = str | tuple[str, ...]  # of a value, or of each part of one: SINGLE, WIDE, or "" for others
 # Of `page/rules/python.js`:
-NAMES = ["and", "copyFlat", "exact", "fill", "from", "or", "same", "where", "wide", "yes"]
+NAMES = ["and", "exact", "fill", "from", "isIn", "kept", "or", "same", "where", "wide", "yes"]
 NAMES.extend(CALLS.values())
 PERHAPS_TUPLE = re.compile(r"[A-Za-z_]\w*(\(|$)")  # a name or a call
 LONG = re.compile(r"(?<![\d.])\d{16,}(?![\d.e])")  # integers of a page are exact up to 2 ** 53
@@ -201,12 +201,16 @@ class _Function:
             pairs = zip(target.elts, value.elts, strict=True)
             return f"[{', '.join(self._stored(*pair) for pair in pairs)}]"
         self._store(target)
-        field, kind = self._field(target), self._kind(value)
+        field, kind, text = self._field(target), self._kind(value), self.of(value)
+        if field and field.shape:  # pages have rows of rows
+            raise self._unknown(target)
         if field == np.float32 and kind != SINGLE:
-            return f"Math.fround({self.of(value)})"
+            return f"Math.fround({text})"
+        if field and field.kind in "iu" and field.itemsize < 8 and kind != WIDE:
+            return f"kept({text}, {field.itemsize * (8 if field.kind == 'u' else -8)})"
         casts = {"i": "Math.trunc", "u": "Math.trunc", "b": "Boolean", "f": "Number"}
         cast = "" if field is None else "Number" if kind == WIDE else casts.get(field.kind, "")
-        return f"{cast}({self.of(value)})"
+        return f"{cast}({text})"
 
     def _store(self, target: Any) -> None:
         parts = (part for part in ast.walk(target) if isinstance(part, ast.Attribute))
@@ -214,9 +218,12 @@ class _Function:
 
     def _field(self, node: Any) -> np.dtype | None:
         """Return the type of a state's field, or of a part of it; None for anything else."""
+        places = 0
         while isinstance(node, ast.Subscript):
+            places += len(node.slice.elts) if isinstance(node.slice, ast.Tuple) else 1
             node = node.value
-        return self.made.fields.get(node.attr) if isinstance(node, ast.Attribute) else None
+        found = self.made.fields.get(node.attr) if isinstance(node, ast.Attribute) else None
+        return found and np.dtype((found.base, found.shape[places:]))
 
     def _learn(self, target: Any, kind: Kind, node: Any) -> None:
         """Record the kinds of variables; raise ValueError if one has several."""
@@ -247,7 +254,7 @@ class _Function:
                 return kind if (kind := self._kind(one)) == self._kind(two) else ""
             case ast.Call(func=function, args=args):
                 return self._kind_of_call(self._value(function), args)
-        if self._field(node) == np.float32:
+        if (field := self._field(node)) and field.base == np.float32:
             return SINGLE
         return CASTS.get(type(self._value(node)), "")
 
@@ -321,7 +328,7 @@ class _Function:
 
     def _compared(self, one: str, op: type, two: str, node: ast.Compare) -> str:
         if op is ast.In:
-            return f"{two}.map(String).includes(String({one}))"
+            return f"isIn({one}, {two})"
         is_tuple = "[" in (one[0], two[0])  # which JavaScript compares by where it is kept
         equates = op in (ast.Eq, ast.NotEq)
         if op not in SIGNS or (is_tuple and not equates):

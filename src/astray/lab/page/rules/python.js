@@ -1,7 +1,7 @@
 // Python's operations, for kernels that `astray.lab.translate` translates.
 
-export const floorDiv = (a, b) => Math.floor(a / b);
-export const mod = (a, b) => a - b * Math.floor(a / b);
+export const mod = (a, b) => { const left = (a % b) + 0; return left * b < 0 ? left + b : left; };
+export const floorDiv = (a, b) => Math.round((a - mod(a, b)) / b);
 export const bitOr = (a, b) => Number(BigInt(a) | BigInt(b));
 export const bitAnd = (a, b) => Number(BigInt(a) & BigInt(b));
 export const shiftLeft = (a, b) => exact(Number(BigInt(a) << BigInt(b)));
@@ -10,7 +10,10 @@ export const from = (at, rows) => (at < 0 ? at + rows.length : at); // as in Pyt
 export const yes = (x) => (Array.isArray(x) ? x.length > 0 : Boolean(x));
 export const or = (one, other) => (yes(one) ? one : other());
 export const and = (one, other) => (yes(one) ? other() : one);
-export const same = (a, b) => (Array.isArray(a) ? String(a) === String(b) : a == b);
+export const same = (a, b) => (
+  Array.isArray(a) ? a.length === b.length && a.every((x, k) => same(x, b[k])) : a == b);
+export const isIn = (one, several) => several.some((x) => same(x, one));
+export const kept = (x, n) => n > 0 ? x << 32 - n >>> 32 - n : x << 32 + n >> 32 + n; // n bits
 export const wide = (x) => BigInt.asUintN(64, BigInt(x)); // an integer without a sign
 
 export function exact(number) {
@@ -18,13 +21,12 @@ export function exact(number) {
   throw new Error("the rules multiply to an integer above 2 ** 53, which needs Python: astray lab");
 }
 
+const axes = (x) => (Array.isArray(x) ? 1 + axes(x[0]) : 0);
 export function fill(rows, value) {
-  rows.forEach((row, y) => { if (typeof row === "object") fill(row, value); else rows[y] = value; });
-}
-
-export function copyFlat(target, source) {
-  target.forEach((row, y) => {
-    if (typeof row === "object") copyFlat(row, source[y]); else target[y] = source[y];
+  const each = axes(value) === axes(rows); // or all parts get the same
+  rows.forEach((row, y) => {
+    const part = each ? value[y] : value;
+    if (typeof row === "object") fill(row, part); else rows[y] = part;
   });
 }
 
