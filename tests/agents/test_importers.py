@@ -231,6 +231,36 @@ def test_a_key_of_shared_tuples_is_refused_before_it_is_hashed(zipped):
         pth.read(doubled(60, zipped))
 
 
+TUPLES = b")q\xb4" + b"".join(  # sixty tuples, each of the last one twice
+    b"h" + bytes([i]) + b"\x86q" + bytes([i + 1]) for i in range(180, 240)
+)
+
+
+@pytest.mark.parametrize(
+    "changed, why",
+    [
+        (lambda old: old[: old.rindex(b"]") + 1] + TUPLES + b"a.", "or have no names"),
+        (lambda old: old[: old.rindex(b"]")] + b"K\x01.", "or have no names"),
+        (lambda old: old.replace(b"K\x03Nt", b"K\x03" + TUPLES + b"t"), "other than numbers"),
+    ],
+    ids=["keys", "no keys", "a part of other weights"],
+)
+def test_what_torch_looks_up_in_an_old_file_is_refused_before_it_is_hashed(changed, why):
+    torch.save({"a": torch.ones(3)}, file := io.BytesIO(), _use_new_zipfile_serialization=False)
+    old = file.getvalue()
+    assert set(pth.weights(old)) == {"a"} and changed(old) != old
+    with pytest.raises(ValueError, match=why):
+        pth.read(changed(old))
+
+
+def test_two_weights_of_one_layer_are_refused():
+    """Else the last would be taken, and ten thousand names of one large array copied each time."""
+    data, params = clarity()
+    data["params"]["ppo2_model/pi/1a/conv2d/other:0"] = params["ppo2_model/pi/1a/conv2d/kernel:0"]
+    with pytest.raises(ValueError, match=r"two weights of the same layer, as .*conv2d/other:0"):
+        jd.read(joblib_bytes(data))
+
+
 @pytest.mark.parametrize("old", [True, False])
 def test_files_with_an_optimizer_are_read_in_both_formats(old):
     network = torch.nn.Linear(3, 3)

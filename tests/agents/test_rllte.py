@@ -108,6 +108,10 @@ def changed(model, change):
         (lambda m: setattr(m.encoder.trunk[4], "bias", None), "lacks features.linear.bias"),
         (lambda m: m.encoder.add_module("other", nn.Linear(2, 2)), "has encoder.other"),
         (lambda m: setattr(m.actor, "actor", nn.Sequential()), "no actor of one layer"),
+        (
+            lambda m: [setattr(m.encoder, f"w{k}", m.encoder.trunk[4].weight) for k in range(3)],
+            "its weights are more than the file holds",
+        ),
         (lambda m: m.double(), "other than numbers of 32 bits"),
         (
             lambda m: setattr(m.encoder.trunk[0].main[0], "weight", nn.Parameter(torch.ones(()))),

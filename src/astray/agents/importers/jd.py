@@ -70,10 +70,13 @@ def _weights(params: dict[Any, Any]) -> dict[str, Tensor]:
         renamed = (CONVOLUTIONS | DENSE | HEADS).get(layer)
         if renamed is None:
             raise ValueError(f"its params have {shown(name)}, which the clear network does not")
-        if part in ("bias", "b"):
-            weights[f"{renamed}.bias"] = torch.from_numpy(array)
+        is_bias = part in ("bias", "b")
+        if (ours := f"{renamed}.{'bias' if is_bias else 'weight'}") in weights:
+            raise ValueError(f"it has two weights of the same layer, as {shown(name)}")
+        if is_bias:
+            weights[ours] = torch.from_numpy(array)
         else:
             seen = array.shape[0] if layer == "pi/dense" and array.ndim else 0  # as 4 x 4 x 32
             side = math.isqrt(seen // BLOCKS[-1][-1])
-            weights[f"{renamed}.weight"] = turned(array, side)
+            weights[ours] = turned(array, side)
     return weights

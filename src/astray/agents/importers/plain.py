@@ -300,9 +300,9 @@ def _tensor(flat: np.ndarray | None, offset: int, shape: Any, strides: Any) -> n
 
 def _stored(storage: Storage, described: Any) -> np.ndarray | None:
     """Return the numbers [n] that a file of torch keeps under a key."""
-    kind, name, key, _, count, *_ = _of(tuple, described)
+    kind, name, key, _, count, *views = _of(tuple, described)
     is_named = type(name) is _Name and name.path.endswith("Storage")
-    if kind != "storage" or not is_named or _of(int, count) < 0:
+    if kind != "storage" or not is_named or _of(int, count) < 0 or views not in ([], [None]):
         raise Refused("it keeps something other than numbers beside its data")
     return storage(name.path, _of(str, key), count)
 

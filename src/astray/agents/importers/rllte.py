@@ -42,8 +42,10 @@ def read(data: bytes) -> Imported:
     Raises:
         ValueError: If the bytes are damaged or hold another network.
     """
-    root = _root(data)
-    tensors = {rename(name, NAMES): torch.from_numpy(t.copy()) for name, t in _parameters(root)}
+    found = [*_parameters(_root(data))]
+    if sum(array.nbytes for _, array in found) > len(data):
+        raise ValueError("its weights are more than the file holds")
+    tensors = {rename(name, NAMES): torch.from_numpy(array.copy()) for name, array in found}
     if "policy.bias" not in tensors:
         raise ValueError("it has no actor of one layer, as agents of images have")
     tensors |= {"value.weight": torch.zeros(1, 256), "value.bias": torch.zeros(1)}
