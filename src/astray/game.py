@@ -295,13 +295,15 @@ class Game:
         one_of("variant", name, self.variants, of=self.name)
         return self.variants[name]
 
-    def drawn(self, art: str) -> Looks:
-        """Return the appearance with the art of that name.
+    def drawn(self, art: str, variant: Variant | None = None) -> Looks:
+        """Return the appearance with the art of that name; check the pictures for a `variant`.
 
         Raises:
             ValueError: If the game has no such art.
         """
         one_of("art", art, self.looks, of=self.name)
+        if variant is not None and art != OWN:
+            self.looks[art].pictures(variant, 64)
         return self.looks[art]
 
     def check(self, states: np.ndarray, variant: Variant, art: str = OWN) -> None:

@@ -229,7 +229,7 @@ class World:
                 f"shown in them; got {shown(states.dtype)}"
             )
 
-    def drawn(self, art: str) -> None:
+    def drawn(self, art: str, variant: Any = None) -> None:
         """Raise ValueError for any art except the world's own."""
         one_of("art", art, (OWN,), of=self.name)
 

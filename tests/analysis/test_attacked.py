@@ -327,7 +327,7 @@ def test_what_is_something_else_is_told(call, message):
     [
         (5, "measures must be a Mapping; got 5"),
         ({"m": lambda: 5}, r"the measure 'm' fails: TypeError\("),
-        ({"m": 5}, "measures must be functions of states by name; got 'm': 5"),
+        ({"m": 5}, "measures must be functions by name; got 'm': 5"),
         ({"level": len}, "measures have the names of other columns: level"),
         ({"m": lambda s: s["time"][:1]}, "the measure 'm' must return 2 values"),
         ({"m": lambda s: None}, "the measure 'm' must return 2 values"),

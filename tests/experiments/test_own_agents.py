@@ -135,6 +135,9 @@ def test_what_is_no_plan_is_told():
         ("own", {"right": load}, "'right' of own must be a OwnAgents; got"),
         ("tests", {"t": "end"}, "'t' of tests must be a Test; got 'end'"),
         ("visited", (), r"visited must be a Mapping; got \(\)"),
+        ("measures", None, "measures must be a Mapping; got None"),
+        ("measures", {"m": 5}, "'m' of measures must be a function; got 5"),
+        ("rewards", [], r"rewards must be a Mapping; got \[\]"),
         ("first_seed", 1.5, "first_seed must be an integer from 0 to .*; got 1.5"),
     ],
 )

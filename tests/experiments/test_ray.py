@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from astray.experiments import cluster
+from astray.experiments import cluster, run
 from astray.experiments.workers import train_all
 from astray.training import checkpoint
 from astray.training.loop import train
@@ -30,16 +30,17 @@ def test_a_process_and_a_node_that_die_lose_nothing(tmp_path):
 
 def test_a_node_goes_on_with_what_another_began(tmp_path, monkeypatch):
     train(TINY, tmp_path / "whole", progress=False)
-    run = tmp_path / "run"
-    train_to_first_checkpoint(TINY, run, monkeypatch)
-    assert not checkpoint.finished(run, TINY)
-    cluster.train_on_node(TINY, run, None)
-    assert digest(run) == digest(tmp_path / "whole")
+    folder = tmp_path / "run"
+    train_to_first_checkpoint(TINY, folder, monkeypatch)
+    assert not checkpoint.finished(folder, TINY)
+    cluster.train_on_node(TINY, folder, None)
+    assert digest(folder) == digest(tmp_path / "whole")
 
 
 def test_how_many_train_at_once_is_not_asked_of_a_cluster(tmp_path):
-    with pytest.raises(ValueError, match="processors and GPUs say how many"):
-        train_all({tmp_path: CONFIG}, workers=2, on="ray")
+    with pytest.raises(ValueError, match="a cluster says how many agents are trained at once"):
+        run.reproduce("maze-corner", "smoke", tmp_path, workers=2, on="ray")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_node_that_does_not_see_the_run_folder_says_so(tmp_path):

@@ -12,9 +12,11 @@ import contextlib
 import logging
 import re
 import socket
+import threading
 import urllib.error
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 from starlette.websockets import WebSocketDisconnect
@@ -117,6 +119,38 @@ class Leaving:
     async def send_text(self, text):
         self.left.set()
         raise WebSocketDisconnect(1006)
+
+
+class Left:
+    """A page that asks, and leaves while others are answered."""
+
+    asked = False
+
+    async def receive_text(self):
+        if self.asked:
+            await asyncio.sleep(0.2)
+            raise WebSocketDisconnect(1001)
+        self.asked = True
+        return '{"id": 1, "kind": "hello"}'
+
+
+def test_nothing_is_computed_for_a_page_that_has_left():
+    """Else Ctrl+C waits for the answers to all pages that were open."""
+    computed = []
+
+    class Computing:
+        def answers(self, text):
+            computed.append(text)
+            yield {"id": 1, "done": True}
+
+    lab = SimpleNamespace(lock=threading.Lock())
+
+    async def leave():
+        with lab.lock:
+            await asyncio.wait_for(Conversation(Left(), Computing(), lab).hold(), 60)
+
+    run(leave())
+    assert not computed
 
 
 def test_a_page_that_leaves_amid_an_answer_ends_its_conversation():

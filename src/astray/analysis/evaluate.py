@@ -62,7 +62,7 @@ def evaluate(
         raise ValueError(f"events or measures of {game.name} have the names of columns: {named}")
     check_measures(measures, (*COLUMNS, *game.events, *game.measures))
     others = (*COLUMNS, *game.events, *game.measures, *(measures or {}))
-    check_measures(rewards, others)  # pyright: ignore
+    check_measures(rewards, others, "rewards")
     measured_by = {**game.of_states, **(measures or {})}
     count = count_levels(levels)
     names = list(levels) if isinstance(levels, Mapping) else [None] * count
@@ -94,18 +94,17 @@ def evaluate(
     return table.with_columns(*measures_of, *(pl.Series(name, x) for name, x in own.items()))
 
 
-def check_measures(measures: Mapping[str, Measure] | None, taken: Collection[str]) -> None:
-    """Raise ValueError unless `measures` are functions by names that no column has."""
+def check_measures(measures: Any, taken: Collection[str], kind: str = "measures") -> None:
+    """Raise ValueError unless `measures`, or a `kind` alike, are functions by names not `taken`."""
     if measures is None:
         return
-    of_kind("measures", measures, Mapping)
+    of_kind(kind, measures, Mapping)
     for name, measure in measures.items():
         if not isinstance(name, str) or not callable(measure):
-            raise ValueError(
-                f"measures must be functions of states by name; got {shown(name)}: {shown(measure)}"
-            )
+            given = f"{shown(name)}: {shown(measure)}"
+            raise ValueError(f"{kind} must be functions by name; got {given}")
         if name in taken:
-            raise ValueError(f"measures have the names of other columns: {name}; give others")
+            raise ValueError(f"{kind} have the names of other columns: {name}; give others")
 
 
 def measured(name: str, measure: Measure, states: np.ndarray) -> pl.Series:

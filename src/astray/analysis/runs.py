@@ -25,7 +25,7 @@ from astray.analysis.policies import scripts_of
 from astray.analysis.results import ALL, APART, Result
 from astray.analysis.trained import Agent, Loaded
 from astray.envs.worlds import check_repeats, check_reported
-from astray.game import OWN, Game, Shift, Variant
+from astray.game import Game, Shift, Variant
 from astray.level_files import read_levels
 from astray.training import folders
 from astray.training.config import Config
@@ -46,8 +46,7 @@ def open_run(
     config = found.config()
     device = config.device if usable(config.device) else "cpu"
     shown = config.art if art is None else art
-    if (looks := config.find_game().drawn(shown)) and art not in (None, OWN):
-        looks.pictures(config.training_variant(), 64)  # of videos, too: told before the work
+    config.find_game().drawn(shown, None if art is None else config.training_variant())
     while True:
         try:
             return Agent(found.weights, config.game, mode, config.seed, device, shown), config

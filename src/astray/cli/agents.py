@@ -140,6 +140,8 @@ def evaluate(
     if levels is not None:
         # os.path: many numbers are too long for the name of a file, and pathlib says so
         played = Path(levels) if os.path.exists(levels) else level_numbers(levels)
+    if (unsolvable and not isinstance(played, Path)) or (pool and policy.policy is not None):
+        raise ValueError("--unsolvable goes with --levels FILE, and --pool with agents")
     if out:
         if out.suffix != ".parquet":  # nor what is played, as an agent's weights
             raise ValueError(f"a table of episodes is a .parquet file, not {out}")
@@ -288,13 +290,10 @@ def show_rates(rates: pl.DataFrame) -> None:
     """Print `outcomes.rates` as a table: a row per policy, a column per outcome, 95 % intervals."""
     outcomes = rates["outcome"].unique(maintain_order=True).to_list()
     shown = Table(
-        "policy",
-        "agents",
-        "levels",
-        *outcomes,
+        "policy", "agents", "levels", *outcomes,
         title=rates["variant"][0],
         caption="95 % intervals over agents and levels; for one agent, over levels alone",
-    )
+    )  # fmt: skip
     for rows in rates.partition_by("policy", "levels_played", maintain_order=True):
         first = rows.row(0, named=True)
         levels = f"{first['levels']} {first['levels_played']}"

@@ -328,6 +328,8 @@ class PlayedLevel(GivenLevel):
 
     def begun(self, game: Game, variant: Variant) -> int | Level | None:
         """Return the given level; check that its objects can be reached if that is required."""
+        if self.unsolvable and self.level_file is None:
+            raise ValueError("--unsolvable goes with --level-file")
         return self.find(game, variant, solvable=not self.unsolvable)
 
 

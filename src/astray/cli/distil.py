@@ -8,8 +8,8 @@ from astray.cli.arguments import Agent
 from astray.envs.pool import most_threads
 from astray.envs.vector import Observation
 from astray.training.config import PRESETS, Tracking
-from astray.training.settings import MOST_STEPS, SEEDS, otherwise
-from astray.validation import MOST, bounded
+from astray.training.settings import SEEDS, otherwise
+from astray.validation import bounded
 
 
 def distil(
@@ -56,10 +56,6 @@ def distil(
     from astray.training.teacher import teaching
     from astray.training.track import train_tracked
 
-    bounded("seed", seed, 0, SEEDS - 1)
-    bounded("seeds", seeds, 1, SEEDS - seed)
-    bounded("steps", steps, 1, MOST_STEPS)
-    bounded("epochs", epochs, 1, MOST)
     bounded("threads", threads, 1, most_threads())
     agent, its = open_run(teacher)
     if agent.observation == "image" and art not in (None, its.art):
@@ -84,9 +80,9 @@ def distil(
         threads=threads,
         teacher=name,
     )
+    bounded("seeds", seeds, 1, SEEDS - seed)
     there = out or Path("runs") / f"{config.game}-{config.variant}-of-{name}"
-    chosen = range(seed, seed + seeds)
-    runs = {there / f"seed-{number}": replace(config, seed=number) for number in chosen}
+    runs = {there / f"seed-{k}": replace(config, seed=k) for k in range(seed, seed + seeds)}
     checkpoint.check_all(runs)
     for student, one in runs.items():
         with teaching(agent.path, student):

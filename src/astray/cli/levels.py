@@ -36,6 +36,8 @@ def level(game: Drawn, levels: str = "0", text: bool = False, json: Json = False
         levels: Level numbers and ranges, such as 5,17,100:200.
         text: Print only the drawings, without headings.
     """
+    if text and json:
+        raise ValueError("--text prints drawings, and --json data; give one of them")
     rules, variant = game.open()
     # Chunk by chunk, so that the first can be printed at once.
     for s in chain.from_iterable(in_chunks(rules, variant, level_numbers(levels))):

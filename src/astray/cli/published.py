@@ -4,11 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from rich.console import Console
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from astray.cli.arguments import Json, Mode, level_numbers, print_json
+from astray.cli.arguments import Json, Mode, level_numbers, print_json, show
 from astray.training import folders
 from astray.training.settings import otherwise
 from astray.validation import printable, shown
@@ -77,8 +76,9 @@ def agents(
     Raises:
         ValueError: If options do not go with the action.
     """
-    if (levels and what != "check") or (unchecked and what != "fetch"):
-        raise ValueError("--levels goes with check, and --unchecked with fetch")
+    is_fetch = what == "fetch"
+    if (levels and what != "check") or (unchecked and not is_fetch) or (json and is_fetch):
+        raise ValueError("--levels goes with check, --unchecked with fetch, and --json without it")
     if what == "list" and name is not None:
         raise ValueError(f"list takes no name; got {shown(name)}")
     if what == "list":
@@ -112,7 +112,7 @@ def _list(json: bool) -> None:
     table = Table("agent", "state", "licence", "what it is", box=None, padding=(0, 2, 1, 0))
     for name, row in rows.items():
         table.add_row(name, row["state"], row["licence"] or "none known", row["about"])
-    Console(width=120).print(table)
+    show(table, width=120)
     if others:
         print(f"imported beside these: {printable(', '.join(others))}")
     print(f"Imported agents are in {folders.home()}; to get one: astray agents fetch NAME")
@@ -154,13 +154,9 @@ def _check(name: str, levels: str | None, json: bool) -> None:
         print_json(rows)
         return
     table = Table(
-        "levels",
-        "published",
-        "here, counted alike",
-        "here, every level once",
-        "mean length",
+        "levels", "published", "here, counted alike", "here, every level once", "mean length",
         "value at the start",
-    )
+    )  # fmt: skip
     for row in rows:
         value = f"{row['start_value']:.2f}"
         if row["published_value"] is not None:
@@ -168,7 +164,7 @@ def _check(name: str, levels: str | None, json: bool) -> None:
         where = f"{row['variant']} {row['what']}".strip()
         rates = row["published"], row["alike"], row["here"]
         table.add_row(where, *rates, f"{row['length']:.1f}", value)
-    Console(width=120).print(table)
+    show(table, width=120)
     for row in rows:
         if row["verdict"]:
             print(row["verdict"])

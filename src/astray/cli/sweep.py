@@ -5,7 +5,7 @@ from typing import Annotated
 
 from tyro.conf import UseAppendAction, arg
 
-from astray.cli.arguments import MOST_WORKERS, Preset, Shift, Workers
+from astray.cli.arguments import Preset, Shift, Workers
 from astray.cli.settings import Grouped, ungrouped
 from astray.experiments.spec import Place
 from astray.training.config import Tracking
@@ -58,8 +58,6 @@ def sweep(
     from astray.experiments.sweep.settings import axes as read_axes
 
     bounded("num_test_levels", test_levels, 1, MOST_LEVELS)
-    if workers is not None:
-        bounded("workers", workers, 1, MOST_WORKERS)
     config = ungrouped(settings)
     there = out or Path("sweeps") / f"{config.game}-{config.variant}"
     wanted = Sweep(config, read_axes(axes), seeds, test_levels, shift)

@@ -66,8 +66,8 @@ def run() -> None:
     warnings.showwarning = functools.partial(_warn, warnings.showwarning)
     if given == ["--version"]:
         print(version("astray"))
-    elif found := re.search("(?m)^(--(out|export|as|game))(=|\n)$", "\n".join(given)):
-        raise ValueError(f"{found[1]} needs a value; got ''")  # the path '' would be this folder
+    elif given and (found := re.search(r"(?m)^(?:(--[\w-]+)(?:=|\n)|)$", "\n".join(given))):
+        raise ValueError(f"{found[1] or 'each word'} needs a value; got ''")  # a path: this folder
     elif given and given[0] in VERBS:
         function = find(given[0])
         verb = _parsed(function, given)

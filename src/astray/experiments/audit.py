@@ -87,6 +87,8 @@ def audit(
     if config and played.name != config.game:
         raise ValueError(f"{agent} plays {config.game}; game must be left out, not {played.name}")
     between = load_shift(played, named)  # pyright: ignore
+    if config is None and isinstance(played, Game):
+        played.drawn(agent.art, played.variant(between.test))  # pyright: ignore
     if name in {one.name for one in scripts_of(played, between)}:  # which is played, too
         name += " (audited)"
     if config is not None:

@@ -300,8 +300,7 @@ def _promised(file: Path) -> dict[str, tuple[int, str]]:
         known = path in PAGE or AGENT.fullmatch(path)
         if not known or type(size) is not int or not DIGEST.fullmatch(str(digest)):
             raise ValueError(f"{DIGESTS} must name an agent's files; got {shown(path)}")
-    missing = [path for path in NEEDED if path not in promised]
-    if missing or sum(bool(AGENT.fullmatch(path)) for path in promised) != 1:
+    if {*NEEDED} - {*promised} or sum(bool(AGENT.fullmatch(path)) for path in promised) != 1:
         raise ValueError(f"{DIGESTS} must name {', '.join(NEEDED)} and one agent.safetensors")
     return promised
 

@@ -147,6 +147,8 @@ def train_agents(
     """
     if workers is not None:
         bounded("workers", workers, 1, MOST)
+        if on == "ray":
+            raise ValueError("a cluster says how many agents are trained at once; leave `workers`")
     runs = {name: [published_run(agent)] for name, agent in plan.published.items()}
     trainings = plan.trainings()
     runs |= {name: [run_folder(root, one) for one in its] for name, its in trainings.items()}

@@ -43,6 +43,7 @@ PUBLISHED: Size = "published"  # of agents that others trained: nothing is train
 Place = Literal["here", "ray"]  # where agents are trained
 Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each name
 NAMING = {"published": str, "teachers": str | Config, "starts": str}  # parts of plans, by names
+NAMING |= {"measures": Callable, "rewards": Callable}
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ class Plan:
         if self.agents or self.world is not None:
             there = (*COLUMNS, *self.game.events, *self.game.measures)
             check_measures(self.measures, there)
-            check_measures(self.rewards, (*there, *self.measures))  # pyright: ignore
+            check_measures(self.rewards, (*there, *self.measures), "rewards")
         for test in (*self.tests.values(), *self.visited.values()):
             scripts = [one.name for one in scripts_of(self.game, load_shift(self.game, test.shift))]
             if {*scripts} & {*self.agents, *self.own}:  # their episodes would be counted together
@@ -215,8 +216,7 @@ class Plan:
                 raise ValueError(f"published agents see the art that they know; got {shown(art)}")
             return self
         for config in self.agents.values():
-            if (looks := config.find_game().drawn(art)) and art != OWN:
-                looks.pictures(config.training_variant(), 64)  # of videos, too: before the work
+            config.find_game().drawn(art, config.training_variant())  # told before the work
         agents = {name: replace(config, art=art) for name, config in self.agents.items()}
         return replace(self, agents=agents)
 

@@ -51,8 +51,6 @@ def train_all(
     Raises:
         ValueError: If a training fails.
     """
-    if on == "ray" and workers is not None:
-        raise ValueError("a cluster's processors and GPUs say how many agents are trained at once")
     missing = {run: config for run, config in todo.items() if not checkpoint.finished(run, config)}
     if not missing:
         return

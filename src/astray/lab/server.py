@@ -136,6 +136,7 @@ class Conversation:
         self.page, self.session, self.lab = page, session, lab
         self.bucket = Bucket(A_SECOND, AT_ONCE)
         self.waiting: list[str] = []
+        self.left = False  # whether nobody waits for answers
         self.newest: dict[tuple[str, str], int] = {}
         self.came = asyncio.Event()
 
@@ -155,6 +156,7 @@ class Conversation:
         except (WebSocketDisconnect, KeyError, RuntimeError):
             pass
         finally:
+            self.left = True
             answering.cancel()
             with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
                 await answering
@@ -199,7 +201,7 @@ class Conversation:
         """Return the next part of an answer; an internal error ends only this answer."""
         with self.lab.lock:
             try:
-                return next(answers, None)
+                return None if self.left else next(answers, None)
             except Exception as error:
                 traceback.print_exc(file=sys.stderr)
                 said = f"the lab itself failed: {error!r}"
