@@ -327,7 +327,7 @@ class PlayedLevel(GivenLevel):
     unsolvable: bool = False
 
     def begun(self, game: Game, variant: Variant) -> int | Level | None:
-        """Return the given level; check that its objects can be reached if that is required."""
+        """Return the given level; raise ValueError if its objects must be, and are not, reached."""
         if self.unsolvable and self.level_file is None:
             raise ValueError("--unsolvable goes with --level-file")
         return self.find(game, variant, solvable=not self.unsolvable)

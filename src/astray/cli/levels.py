@@ -35,6 +35,9 @@ def level(game: Drawn, levels: str = "0", text: bool = False, json: Json = False
     Args:
         levels: Level numbers and ranges, such as 5,17,100:200.
         text: Print only the drawings, without headings.
+
+    Raises:
+        ValueError: If data are asked for, too.
     """
     if text and json:
         raise ValueError("--text prints drawings, and --json data; give one of them")

@@ -143,7 +143,7 @@ def train_agents(
 ) -> Runs:
     """Train the missing agents of a plan; return all run folders.
 
-    Published agents must be present, because nothing is downloaded without request.
+    Published agents must be present, or it raises ValueError: nothing is downloaded unasked.
     """
     if workers is not None:
         bounded("workers", workers, 1, MOST)
