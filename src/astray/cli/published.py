@@ -76,8 +76,7 @@ def agents(
     Raises:
         ValueError: If options do not go with the action.
     """
-    is_fetch = what == "fetch"
-    if (levels and what != "check") or (unchecked and not is_fetch) or (json and is_fetch):
+    if (levels and what != "check") or (json if what == "fetch" else unchecked):
         raise ValueError("--levels goes with check, --unchecked with fetch, and --json without it")
     if what == "list" and name is not None:
         raise ValueError(f"list takes no name; got {shown(name)}")

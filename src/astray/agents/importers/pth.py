@@ -129,8 +129,7 @@ def _checked(data: bytes) -> io.BytesIO:
     if not data.startswith(b"PK"):  # as torch wrote them before 1.6: pickles, then the weights
         file = io.BytesIO(data)
         *_, keys = [plain.read(file, noted, MADE_OF) for _ in range(OLD_PICKLES)]
-        is_text = isinstance(keys, list) and {*map(type, keys)} <= {str}
-        if not is_text or sum(asked.values()) > len(data):
+        if type(keys) is not list or {*map(type, keys)} - {str} or sum(asked.values()) > len(data):
             raise ValueError("its weights are more than the file holds, or have no names")
         return io.BytesIO(data)
     kept = io.BytesIO()
