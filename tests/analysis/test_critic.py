@@ -7,10 +7,11 @@ import pytest
 import torch
 
 from astray import games
+from astray.acting import Answer, initial_states
 from astray.agents.policy import Architecture, weights
 from astray.analysis import critic
 from astray.analysis.evaluate import evaluate
-from astray.analysis.trained import Agent
+from astray.analysis.trained import Agent, Opaque
 from astray.envs.vector import GameVectorEnv
 from astray.games.coinrun import edits, measures
 from astray.level import Level
@@ -193,3 +194,21 @@ def test_edits_that_are_none_are_refused(agent, visited):
         critic.counterfactual(agent, SHORT, visited[1][:5], lambda states: states[1:])
     with pytest.raises(ValueError, match="no states are given"):
         critic.counterfactual(agent, SHORT, visited[1][:0], edits.without_coin)
+
+
+class Counts:
+    """Counts the steps of its episode by itself."""
+
+    name, observation, art = "counts", "symbolic", "own"
+
+    def actions(self, turn):
+        self.count = np.where(turn.begins, 0, getattr(self, "count", 0) + 1)
+        return Answer(self.count)
+
+
+def test_a_policy_that_counts_by_itself_is_told_once_that_an_episode_begins():
+    states = np.repeat(initial_states("maze", "corner-small", [0]), 4)
+    states["time"] = range(4)
+    for _ in range(2):
+        policy, _ = critic.ask(Opaque(Counts(), "maze"), "corner-small", states, episode=True)
+        assert policy.argmax(1).tolist() == [0, 1, 2, 3]

@@ -1,12 +1,15 @@
 """Studies of one's own, and the tables that are kept of a plan; nothing is trained."""
 
+import json
 import os
+import shutil
 from dataclasses import replace
 
 import polars as pl
 import pytest
 
 from astray.experiments import catalogue, run, spec
+from astray.training import folders
 
 
 @pytest.mark.parametrize("text", ["[" * 1000, "\0", "9" * 10_000, "a b", "#" * 2**21])
@@ -84,3 +87,16 @@ def test_tables_are_computed_anew_where_a_study_of_ones_own_was_edited(tmp_path)
         )
         digests.add(run.provenance_of([], catalogue.find(str(path))[1].find))
     assert len(digests) == 2 and "" not in digests
+
+
+def test_other_settings_of_a_published_agent_compute_its_tables_anew(tmp_path):
+    mouse = tmp_path / "mouse"
+    shutil.copytree(folders.find("maze-corner"), mouse)
+    config = folders.read_config(mouse)
+    given = {"published": {"mouse": "maze-corner"}, "differences": ""}
+    plan = spec.plan_of("mouse", config, "maze", "corner-small", **given)
+    before = run.inputs(plan, {"mouse": [mouse]})[1]
+    settings = json.loads((mouse / "config.json").read_text())
+    settings["config"]["seed"] += 1
+    (mouse / "config.json").write_text(json.dumps(settings))
+    assert run.inputs(plan, {"mouse": [mouse]})[1] != before

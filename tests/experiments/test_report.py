@@ -1,7 +1,10 @@
 """Videos hold their frames, figures are reproducible, and a report says what it was told."""
 
 import json
+import os
 import re
+import shutil
+import sys
 from dataclasses import replace
 from unittest.mock import Mock
 from urllib.parse import quote, urljoin
@@ -245,6 +248,15 @@ def test_a_folder_of_any_name_is_led_to_as_a_folder(name, told, tmp_path):
     (link,) = re.findall('href="(.*?)"', page)
     assert urljoin("file:///reports/", link) == f"file:///reports/{quote(name)}/report.html"
     assert "default-src 'none'" in page and "<script" not in page
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
+def test_a_folder_whose_name_is_no_text_hides_no_report(told, tmp_path, capsys):
+    report.write(*told, tmp_path / "one")
+    shutil.copytree(tmp_path / "one", os.fsdecode(os.fsencode(tmp_path) + b"/\xff"))
+    page = report.write_index(tmp_path).read_text()
+    assert re.findall('href="(.*?)"', page) == ["./one/report.html"]
+    assert "left out of the index" in capsys.readouterr().err
 
 
 def test_what_is_told_is_escaped(told, tmp_path):

@@ -20,7 +20,7 @@ from astray.analysis.pages import templates
 from astray.analysis.tables import write_table
 from astray.files import read, remove_left, write_aside
 from astray.report.findings import Code, Findings, Heading, Scene, Section
-from astray.validation import shown
+from astray.validation import printable, shown
 
 WRITTEN = ("report.html", "findings.json", "figures", "tables")  # to a report's folder
 COMPUTED = "computed"  # the folder of a report's tables, which are made once
@@ -124,7 +124,7 @@ def write_index(folder: Path) -> Path:
         try:
             found.append(_findings(path) | {"folder": path.parent.name})
         except (ValueError, OSError) as error:  # of an older report, which hides no newer one
-            print(f"left out of the index: {error}", file=sys.stderr, flush=True)
+            print(printable(f"left out of the index: {error}"), file=sys.stderr, flush=True)
     write_aside(folder / "index.html", _render("index.html", reports=found).encode())
     return folder / "index.html"
 
