@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numba
 import pytest
+from numba.core.typing.templates import builtin_registry
 
 import astray
 from astray.envs import loops
@@ -150,9 +151,9 @@ def test_compiled_code_is_new_after_a_change_of_a_value_that_a_module_reads(tmp_
 
 
 CHOSEN = """
-import enum, importlib, json, types
+import enum, importlib, json, operator, types
 from pathlib import Path
-import numba
+import numba, numba.experimental
 import numpy as np
 from astray.kernel.jit import entry, kernel
 
@@ -175,6 +176,41 @@ PART, OTHER = slice(SPEED), importlib.import_module("other")
 def each(x): return SPEED * x
 @numba.extending.register_jitable
 def plainly(x): return SPEED * x
+def stub(x): raise NotImplementedError
+@numba.extending.overload(stub)
+def overloaded(x): return lambda x: SPEED * x
+@numba.extending.overload(np.setxor1d)
+def of_numpy(x, y): return lambda x, y: SPEED * x
+@numba.extending.overload(oct)
+def of_python(x): return lambda x: SPEED * x
+@numba.extending.overload_method(numba.types.Integer, "sped")
+def method(x): return lambda x: SPEED * x
+@numba.extending.overload_attribute(numba.types.Integer, "top")
+def attribute(x): return lambda x: SPEED * x
+@numba.extending.intrinsic
+def within(context, x):
+    return x(x), lambda c, builder, s, args: builder.mul(args[0], args[0].type(SPEED))
+@numba.experimental.jitclass([("base", numba.int64)])
+class Car:
+    def __init__(self, base): self.base = base
+    def run(self, x): return SPEED * x
+@numba.experimental.jitclass([("base", numba.int64)])
+class Fixed:
+    def __init__(self, base): self.base = base
+    @staticmethod
+    def fixed(x): return SPEED * x
+@numba.experimental.jitclass([("base", numba.int64)])
+class Top:
+    def __init__(self, base): self.base = base
+    @property
+    def top(self): return SPEED
+@numba.experimental.jitclass([("base", getattr(numba, CHOICE["kind"]))])
+class Still:
+    def __init__(self, base): self.base = base
+class Pair(numba.types.StructRef): pass
+@numba.extending.overload(operator.add)
+def summed(a, b):
+    if isinstance(a, Pair): return lambda a, b: SPEED
 
 def faster(by):
     @kernel
@@ -211,6 +247,28 @@ def vectorized(x): return each(x)
 def inlined(x): return plainly(x)
 @entry
 def by_name(x): return OTHER.often(x)
+@entry
+def stubbed(x): return stub(x)
+@entry
+def numpys(x): return np.setxor1d(x, x)
+@entry
+def builtins(x): return oct(x)
+@entry
+def methods(x): return x.sped()
+@entry
+def attributes(x): return x.top
+@entry
+def intrinsics(x): return within(x)
+@entry
+def cars(x): return Car(x).run(x)
+@entry
+def fixes(x): return Fixed.fixed(x)
+@entry
+def tops(x): return Top(x).top
+@entry
+def stills(x): return Still(x).base
+@entry
+def sums(x): return x + x
 """
 
 OTHER = """
@@ -236,6 +294,17 @@ def often(x): return sum([{} * x for _ in range(2)])
         ("vectorized", {"speed": 2}),
         ("inlined", {"speed": 2}),
         ("by_name", {"inner": 2}),
+        ("stubbed", {"speed": 2}),
+        ("numpys", {"speed": 2}),
+        ("builtins", {"speed": 2}),
+        ("methods", {"speed": 2}),
+        ("attributes", {"speed": 2}),
+        ("intrinsics", {"speed": 2}),
+        ("cars", {"speed": 2}),
+        ("fixes", {"speed": 2}),
+        ("tops", {"speed": 2}),
+        ("stills", {"kind": "float32"}),
+        ("sums", {"speed": 2}),
     ],
 )
 def test_what_compiled_code_keeps_is_in_its_digest(of, changed, tmp_path, monkeypatch):
@@ -243,7 +312,10 @@ def test_what_compiled_code_keeps_is_in_its_digest(of, changed, tmp_path, monkey
     monkeypatch.syspath_prepend(tmp_path)
     Path("chosen.py").write_text(CHOSEN)
     told = []
+    kinds = [(name, list(getattr(builtin_registry, name))) for name in ("functions", "attributes")]
     for choice in ({}, {}, changed, {"unused": 1}):
+        for name, known in kinds:  # a process knows the overloads of one import
+            monkeypatch.setattr(builtin_registry, name, list(known))
         usual = {"speed": 1, "way": "right", "kind": "float64", "inner": 1}
         Path("choice.json").write_text(json.dumps(usual | choice))
         Path("other.py").write_text(OTHER.format((usual | choice)["inner"]))

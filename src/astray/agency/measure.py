@@ -159,7 +159,9 @@ def goals_in(
     columns = [accessible] * len(episodes)
     if options.goals == "accessible and true":
         goals.append(TRUE)
-        columns = [np.append(accessible, _true(episode)) for episode in episodes]
+        if any(episode.true is None for episode in episodes):
+            raise ValueError("an episode must have a true goal, as the goals name it; got none")
+        columns = [np.append(accessible, _number(one, one.true)) for one in episodes if one.true]
     prior = world.free.size if options.goals == "all cells" else len(goals)
     return goals, prior, columns
 
@@ -243,13 +245,6 @@ def _number(episode: Episode, cell: Cell) -> int:
     if not np.isfinite(episode.world.distance[episode.trajectory.cells[0], number]):
         raise ValueError(f"no way leads to the goal {tuple(cell)}")
     return number
-
-
-def _true(episode: Episode) -> int:
-    """Return the number of the true goal's cell."""
-    if episode.true is None:
-        raise ValueError("an episode must have a true goal, as the goals name it; got none")
-    return _number(episode, episode.true)
 
 
 def cell_steps(episode: Episode, options: Options) -> np.ndarray:

@@ -69,7 +69,8 @@ def play(
         begun = _layouts(game, game.variant(variant), levels)
         places = {name: partial(_coordinate, game, k) for k, name in enumerate(PLACE)}
         found = replace(game, every_step=True, measures={**game.measures, **places})
-        numbers, cells_of = [*map(int, levels)], _noted
+        numbers = [*map(int, levels)]
+        cells_of = partial(map, lambda s: tuple(int(s[name]) for name in PLACE))  # pyright: ignore
     else:
         assert not isinstance(variant, WorldVariant)
         found = games.find(game)
@@ -108,10 +109,6 @@ def _layouts(world: World, variant: WorldVariant, levels: Any) -> list[Layout]:
 def _coordinate(world: World, axis: int, env: Any) -> float:
     assert world.cells is not None
     return world.cells(env)[1][axis]
-
-
-def _noted(states: np.ndarray) -> list[Cell]:
-    return [(int(x), int(y)) for x, y in zip(*(states[name] for name in PLACE), strict=True)]
 
 
 def _cells(game: Game, states: np.ndarray) -> list[Cell]:

@@ -214,7 +214,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._take(state, which, keep=("seed", "turn"))
             chosen[:] = AS_SET
         elif level is not None:
-            numbers = np.full(self.num_envs, integers(level, "levels"))  # as given: 2^63 as well
+            if np.shape(numbers := integers(level, "levels")) not in ((), (1,), (self.num_envs,)):
+                raise ValueError(f"give {self.num_envs} levels, or one; got {shown(level)}")
+            numbers = np.full(self.num_envs, numbers)  # as given: 2^63 as well
             chosen[which] = level_numbers(numbers[which]) if which.any() else NOTHING
         if seed is None and not self._seeded:
             seed = int(self.np_random.integers(2**62))

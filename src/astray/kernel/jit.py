@@ -1,10 +1,12 @@
 """Compilation: three decorators, and an on-disk cache that cannot be stale."""
 
+import builtins
 import contextlib
 import enum
 import functools
 import hashlib
 import inspect
+import re
 import sys
 import threading
 import warnings
@@ -17,6 +19,7 @@ import numba
 import numpy as np
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.typing.templates import builtin_registry
 
 from astray import provenance
 from astray.kernel.cache import cache_folder, held
@@ -81,20 +84,42 @@ def _frozen(name: Any, function: FunctionType, passed: set[FunctionType]) -> Ite
     for code in codes:
         codes.extend(one for one in code.co_consts if isinstance(one, CodeType))
     closed = _closed(function)
-    used = {name for code in codes for name in code.co_names}.union(closed)
-    scopes: list[Mapping[str, Any]] = [function.__globals__, closed]
+    used = {"", *closed, *(name for code in codes for name in code.co_names)}
+    overloads = _overloads(builtin_registry.functions[-1], builtin_registry.attributes[-1])
+    scopes: list[Mapping] = [function.__globals__, closed, vars(builtins), overloads]
     for scope in scopes:  # also those of modules that are found in these
         for name in filter(scope.__contains__, used):
             value = scope[name]
             for at, one in enumerate(value if isinstance(value, tuple) else (value,)):
-                called = inspect.unwrap(getattr(one, "py_func", one))
-                package = f"{getattr(called, '__module__', '')}".partition(".")[0]
-                if isinstance(called, FunctionType) and package not in provenance.LIBRARIES:
-                    yield from _frozen((name, at), called, passed)
-                elif isinstance(one, ModuleType) and all(vars(one) is not s for s in scopes):
+                each = [one, *overloads.get(id(one), ())]
+                if isinstance(kind := getattr(one, "class_type", None), numba.types.ClassType):
+                    parts = (kind.jit_methods, kind.jit_static_methods, *kind.jit_props.values())
+                    each += [method for methods in parts for method in methods.values()]
+                for called in each:
+                    called = inspect.unwrap(getattr(called, "py_func", called))
+                    package = f"{getattr(called, '__module__', '')}".partition(".")[0]
+                    if isinstance(called, FunctionType) and package not in provenance.LIBRARIES:
+                        yield from _frozen((name, at), called, passed)
+                if isinstance(one, ModuleType) and all(vars(one) is not s for s in scopes):
                     scopes.append(vars(one))
                 elif isinstance(one, VALUES):
                     yield name, at, _kept(one)
+
+
+@functools.lru_cache(1)
+def _overloads(*_last: Any) -> dict[Any, tuple]:
+    """Return users' functions that numba calls in place of others, of which `_last` are the last.
+
+    A key is the id of the other, the name of a method or an attribute, or "" of any operator.
+    """
+    found: dict[Any, tuple] = {}
+    for one in (*builtin_registry.functions, *builtin_registry.attributes):
+        function = getattr(one, "_overload_func", None)
+        if f"{getattr(function, '__module__', None)}".partition(".")[0] not in ("numba", "None"):
+            key = "" if getattr(one.key, "__module__", "") == "_operator" else id(one.key)
+            name = getattr(one, "_attr", key)
+            found[name] = (*found.get(name, ()), function)
+    return found
 
 
 def _written(function: FunctionType) -> tuple[Any, ...]:
@@ -118,6 +143,8 @@ def _kept(value: Any) -> Any:
         return [(name, _kept(one.value)) for name, one in value.__members__.items()]
     if isinstance(value, enum.Enum):
         return value.name, _kept(value.value)
+    if isinstance(getattr(value, "class_type", None), numba.types.ClassType):
+        return re.sub("#[0-9a-f]+", "", f"{value.class_type.struct}")  # names have addresses
     return [_kept(one) for one in value] if isinstance(value, tuple) else value
 
 

@@ -299,7 +299,8 @@ def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
         ValueError: If a custom loss returns other names than before.
     """
     config, samples = trainer.config, rollout.flat()
-    trainer.set_rate(rate)
+    for group in trainer.optimizer.param_groups:
+        group["lr"] = group["lr"].fill_(rate) if isinstance(group["lr"], Tensor) else rate
     step = functools.partial(trainer.repeat, functools.partial(learn, trainer, samples))
     trainer.network.train()  # dropout is active in learning, not in acting
     epochs = (minibatches(trainer, len(samples)) for _ in range(config.epochs))

@@ -147,12 +147,6 @@ class Trainer:
                 f"{count:,} weights and rollouts of {samples:,} samples",
             )
 
-    def set_rate(self, rate: float) -> None:
-        """Set the optimizer's learning rate."""
-        for group in self.optimizer.param_groups:
-            was = group["lr"]
-            group["lr"] = was.fill_(rate) if isinstance(was, Tensor) else rate
-
     def repeat(
         self, function: Callable[[Tensor], dict[str, Tensor]], indices: Tensor
     ) -> dict[str, Tensor]:

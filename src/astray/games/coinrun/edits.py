@@ -45,11 +45,15 @@ def with_coin_in_view(states: np.ndarray, *, seed: int = 0) -> np.ndarray:
     edited = states.copy()
     for s in edited:
         near_x, near_y = abs(CENTRES - s["x"]) <= IN_VIEW, abs(CENTRES - s["y"]) <= IN_VIEW
-        places = np.argwhere(_free(s) & _above_ground(s) & near_y[:, None] & near_x)
+        ground = np.isin(s["cell"], (WALL, TOP)) | (s["thing"] == CRATE)
+        stands = _free(s) & np.vstack([np.zeros((1, WORLD), bool), ground[:-1]])
+        places = np.argwhere(stands & near_y[:, None] & near_x)
         if len(places):
             random = np.random.default_rng([seed, int(s["level"]) + 1, int(s["time"])])
             y, x = places[random.integers(len(places))]
-            _add_coin(s, int(x), int(y))
+            s["cell"][y, x] = COIN
+            if x > s["coin_x"]:
+                s["coin_x"], s["coin_y"] = x, y
     return edited
 
 
@@ -61,18 +65,6 @@ def _free(s: Any) -> np.ndarray:
     walkers = slice(int(s["walkers"]))
     free[s["walker_y"][walkers].astype(int), s["walker_x"][walkers].astype(int)] = False
     return free
-
-
-def _above_ground(s: Any) -> np.ndarray:
-    """Return the cells above one that can be stood on, [WORLD, WORLD] bool."""
-    ground = np.isin(s["cell"], (WALL, TOP)) | (s["thing"] == CRATE)
-    return np.vstack([np.zeros((1, WORLD), bool), ground[:-1]])
-
-
-def _add_coin(s: Any, x: int, y: int) -> None:
-    s["cell"][y, x] = COIN
-    if x > s["coin_x"]:
-        s["coin_x"], s["coin_y"] = x, y
 
 
 def without_walkers(states: np.ndarray) -> np.ndarray:

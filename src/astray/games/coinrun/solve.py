@@ -103,7 +103,8 @@ def plan(s: Any, goal: str) -> np.ndarray:
     For goals other than the coin, coins are removed first. A way that avoids coins, which end the
     level, would bias the base rate of accidental pickups.
     """
-    event = _event(goal)
+    one_of("goal", goal, GOALS)
+    event = GOALS[goal]
     coin = goal == "coin" and not (s.cell == COIN).any()
     beyond = goal == "beyond" and s.permeable == 0
     if s[event] != NEVER or s.ended or coin or beyond:
@@ -120,11 +121,6 @@ def _where(s: Any, goal: str) -> Any:
     if goal != "coin":
         states.cell[states.cell == COIN] = EMPTY
     return states
-
-
-def _event(goal: str) -> str:
-    one_of("goal", goal, GOALS)
-    return GOALS[goal]
 
 
 def reachable(s: Any) -> np.ndarray:

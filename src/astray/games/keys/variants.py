@@ -6,6 +6,7 @@ from typing import Literal, get_args
 from astray.game import Shift, Variant
 from astray.games.keys.rules import LARGEST, MOST
 from astray.kernel.maze import AS_NUMBERED, check_sizes
+from astray.validation import finite
 
 Inventory = Literal["upper-right", "upper-left", "lower-right", "lower-left", "hidden"]
 INVENTORIES = get_args(Inventory)
@@ -45,8 +46,7 @@ class Keys(Variant):
         check_sizes(self, 5, LARGEST)
         self._check_counts()
         for name in ("key_penalty", "step_penalty"):
-            if not abs(getattr(self, name)) <= 1e6:
-                raise ValueError(f"{name} must be from -1e6 to 1e6; got {getattr(self, name)}")
+            finite(name, getattr(self, name), -1e6, 1e6)
 
     def _check_counts(self) -> None:
         if self.keys < 1 or self.chests < 1:

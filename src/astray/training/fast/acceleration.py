@@ -178,7 +178,9 @@ class Accelerated:
         """
         shown = [torch.from_numpy(part).to(self.config.device) for part in parts]
         if memory[0].shape[1]:
-            return torch.cat([self._recalled(*part) for part in zip(shown, memory, strict=True)])
+            on = [torch.zeros(len(part), dtype=torch.bool, device=part.device) for part in shown]
+            each = zip(shown, memory, on, strict=True)
+            return torch.cat([self.any_number(*part)[1] for part in each])
         if self.config.device == "cuda":  # cuDNN searches anew for every other number at once
             here = parallel.shard(self.config.num_envs)
             at_once = (here.stop - here.start) // self.using.groups
@@ -186,10 +188,6 @@ class Accelerated:
         if self.using.together:  # a call for each step took a fifth of playing
             shown = torch.cat(shown).split(AT_ONCE)
         return torch.cat([self.any_number(part)[1] for part in shown])
-
-    def _recalled(self, shown: Tensor, state: Tensor) -> Tensor:
-        goes_on = torch.zeros(len(shown), dtype=torch.bool, device=shown.device)
-        return self.any_number(shown, state, goes_on)[1]
 
 
 def accelerate(

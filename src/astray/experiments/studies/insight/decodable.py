@@ -42,7 +42,8 @@ def find(work: Work) -> Findings:
     """Measure the readings of each layer, and the effect of the coin on the policy."""
     agent, variant, levels = opened(work, WHERE)
     states = functools.cache(lambda: visited(work.size, agent, variant, levels))
-    table = work.keep("probes", lambda: probed(work.size, agent, variant, states()))
+    told, folds = (LAYERS[work.size], {name: LABELS[name] for name in READ}), FOLDS[work.size]
+    table = work.keep("probes", lambda: probes.probe(agent, variant, states(), *told, folds=folds))
     changes = work.keep("changes", lambda: changed(agent, variant, states()))
     by_edit = group_means(changes, "policy_change", ["edit"])
     moved = {e: estimate(changes, e, "policy_change") for e in (REMOVED, ADDED)}
@@ -135,12 +136,6 @@ def visited(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> n
     """Return states [K] before the end wall, from the agent's own episodes in `levels` [N]."""
     _, states = visit(agent, variant, levels, per_episode=DRAWN[size], batch=128)
     return states[states["x"] <= states["end_x"] + 1]
-
-
-def probed(size: Size, agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
-    """Return `probes.probe` of all layers in `states` [N]."""
-    labels = {name: LABELS[name] for name in READ}
-    return probes.probe(agent, variant, states, LAYERS[size], labels, folds=FOLDS[size])
 
 
 def changed(agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
