@@ -23,9 +23,9 @@ from astray import world
 from astray.envs.beginnings import Levels as Levels
 from astray.envs.beginnings import beginnings, without_autoreset
 from astray.envs.beginnings import initial_states as initial_states
-from astray.envs.rows import check_rows, rows
 from astray.envs.steps import Reward as Reward
 from astray.envs.steps import Step as Step
+from astray.envs.steps import check_rows, rows
 from astray.envs.vector import GameVectorEnv, Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import Game, Variant

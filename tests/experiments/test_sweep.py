@@ -1,6 +1,7 @@
 """Sweeps: what is set, what is trained once, and what the outcomes are of."""
 
 import itertools
+import re
 import shlex
 from dataclasses import replace
 from functools import wraps
@@ -77,6 +78,9 @@ def test_cells_are_all_combinations():
 def test_outcomes_are_of_all_agents_and_repeat_what_an_evaluation_says(trained, tmp_path):
     page = run_sweep(Sweep(BASE, TWO, seeds=2, levels=20), tmp_path)
     assert len(trained) == 8 and page == tmp_path / "report.html"
+    told = page.read_text()
+    assert "by learning_rate and time_limit?" in told and "Reproduces" not in told
+    assert re.search(r"least often with learning_rate \S+, time_limit \d+: ", told)
     outcomes = pl.read_parquet(tmp_path / "outcomes.parquet")
     mine = outcomes.filter(policy="sampled")
     counts = mine.group_by(*TWO, "seed", "test").len()

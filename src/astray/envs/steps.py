@@ -1,14 +1,14 @@
-"""A step of several episodes, and what it is worth."""
+"""A step of several episodes, what it is worth, and rows of what episodes have."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from astray.envs.rows import rows
 from astray.imports import guarded
 from astray.validation import shown
 
@@ -63,3 +63,25 @@ def paid(reward: Reward, step: Step) -> np.ndarray:
             f"{shown(found)}"
         )
     return found.astype(np.float64)
+
+
+def rows(memory: Any, kept: np.ndarray) -> Any:
+    """Return the rows `kept` [n] of a policy's memory [N, ...]."""
+    if isinstance(memory, Mapping):
+        return {name: rows(part, kept) for name, part in memory.items()}
+    if isinstance(memory, tuple | list):
+        parts = [rows(part, kept) for part in memory]
+        return type(memory)(*parts) if hasattr(memory, "_fields") else type(memory)(parts)
+    return None if memory is None else memory[kept]
+
+
+def check_rows(memory: Any, n: int) -> None:
+    """Raise ValueError unless a policy's memory has one row for each of `n` episodes."""
+    if isinstance(memory, Mapping | tuple | list):
+        for part in memory.values() if isinstance(memory, Mapping) else memory:
+            check_rows(part, n)
+    elif memory is not None and tuple(getattr(memory, "shape", ()))[:1] != (n,):
+        raise ValueError(
+            f"a policy's memory must be arrays or tensors of {n} rows, one per episode; got "
+            f"{getattr(memory, 'shape', shown(memory))}"
+        )

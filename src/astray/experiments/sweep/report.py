@@ -22,16 +22,20 @@ from astray.validation import command_of
 
 
 def heading(sweep: Sweep, folder: Path) -> Heading:
-    config = sweep.base
     return Heading(
         name=folder.name,
         size=f"{sweep.seeds} seeds",
-        title=f"A sweep of {config.game} {config.variant}",
-        reproduces="nothing",
+        title=f"A sweep of {sweep.base.game} {sweep.base.variant}",
+        reproduces="",
         differences="",
-        question=f"What do agents pursue, by {' and '.join(sweep.axes)}?",
+        question=f"What do agents pursue, by {' and '.join(map(named, sweep.varied()))}?",
         command=command(sweep),
     )
+
+
+def named(column: str) -> str:
+    """Return a setting's name as users give it, without the mark of a variant's knobs."""
+    return column.removeprefix(KNOB)
 
 
 def command(sweep: Sweep) -> str:
@@ -52,7 +56,7 @@ def command(sweep: Sweep) -> str:
             words += [f"--{flag}", str(given)]
     alone = {f"{KNOB}{name}": [given] for name, given in base.knobs.items()}
     for name, values in (alone | dict(sweep.axes)).items():
-        words += ["--set", f"{name.removeprefix(KNOB)}={','.join(map(str, values))}"]
+        words += ["--set", f"{named(name)}={','.join(map(str, values))}"]
     words += ["--seeds", str(sweep.seeds)]
     words += [] if sweep.levels == LEVELS_PLAYED else ["--num-test-levels", str(sweep.levels)]
     words += [] if sweep.shift is None else ["--shift", sweep.shift]
@@ -63,9 +67,8 @@ def findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findi
     """Return the figures, and a sentence on the extreme combinations."""
     agents = table.filter(policy=AGENTS)
     asked = agents.filter(test=TEST, outcome=MISGENERALIZED).sort("mean", maintain_order=True)
-    names = sweep.columns()
     ends = [
-        f"{', '.join(f'{name} {row[name]}' for name in names)}: {Estimate.of(row).short()}"
+        f"{', '.join(f'{named(x)} {row[x]}' for x in sweep.varied())}: {Estimate.of(row).short()}"
         for row in (asked.row(0, named=True), asked.row(-1, named=True))
     ]
     settings = {name: str(x) for name, x in sweep.base.flat().items() if name not in sweep.axes}
@@ -81,10 +84,8 @@ def findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findi
 
 def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
     """Plot each pair of settings, or a single one."""
-    mine = episodes.filter(policy=AGENTS)
-    names = sweep.columns()
-    several = [n for n, values in zip(names, sweep.axes.values(), strict=True) if len(values) > 1]
-    pairs = list(itertools.combinations(several, 2)) or [tuple(several or names)[:1]]
+    mine, several = episodes.filter(policy=AGENTS), sweep.varied()
+    pairs = list(itertools.combinations(several, 2)) or [tuple(several)[:1]]
     for pair in pairs:
         data = pl.concat(
             rates(mine.filter(test=test), pair, [outcome])
@@ -94,15 +95,15 @@ def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
         )
         name = "-".join(one.replace(".", "-").replace("_", "-") for one in pair)
         others = [one for one in several if one not in pair]
-        caption = f"Outcomes of agents, by {' and '.join(pair)}; fractions of episodes"
+        caption = f"Outcomes of agents, by {' and '.join(map(named, pair))}; fractions of episodes"
         if others:
-            caption += f", over all values of {', '.join(others)}"
+            caption += f", over all values of {', '.join(map(named, others))}"
         x, *y = pair
         drawn = (
-            cells(data, COLOURS, x=x, y=y[0], panel="what")
+            cells(data, COLOURS, x=x, y=y[0], panel="what", x_label=named(x), y_label=named(y[0]))
             if y
             else charts.curves(
-                data, x=x, line="what", label="fraction of episodes", x_label=x, even=True,
+                data, x=x, line="what", label="fraction of episodes", x_label=named(x), even=True,
                 whiskers=True, percent="y", limits=(-0.03, 1.03),
             )
         )  # fmt: skip

@@ -88,6 +88,11 @@ class Sweep:
         """Return the axes' column names, which differ from the columns of episodes and rates."""
         return [f"training_{name}" if name in ("levels", "variant") else name for name in self.axes]
 
+    def varied(self) -> list[str]:
+        """Return the columns of the axes with several values; all of them if there is none."""
+        both = zip(self.columns(), self.axes.values(), strict=True)
+        return [name for name, values in both if len(values) > 1] or self.columns()
+
 
 def axes(texts: Sequence[str]) -> dict[str, list[Any]]:
     """Parse settings and knobs with values, such as lr=1e-4,5e-4 and region=1,3,5.
