@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from astray import games
+from astray.analysis import agency
 from astray.analysis.adapters import Function
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random
@@ -157,6 +158,19 @@ def test_a_ruined_report_that_results_stand_beside_is_told_before_the_work(tmp_p
 def test_no_worker_is_told_before_training(tmp_path):
     with pytest.raises(ValueError, match=r"workers must be an integer from 1 to \d+; got 0"):
         run.reproduce(experiment(plan()), "smoke", tmp_path, workers=0)
+
+
+def test_a_device_that_is_not_there_is_told_before_levels_are_looked_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "check_tests", lambda _: pytest.fail("it looks for levels"))
+    with pytest.raises(ValueError, match="mouse cannot be trained: there is no device 'mps'"):
+        run.reproduce(experiment(plan()), "smoke", tmp_path, device="mps")
+
+
+def test_a_game_without_cells_is_told_before_it_compiles(monkeypatch):
+    monkeypatch.setattr(agency, "initial_states", lambda *_: pytest.fail("it compiles"))
+    with pytest.raises(ValueError, match="has no cells"):
+        variant = games.find("coinrun").variants["coin-end"]
+        agency.assess_policy(Random(), "coinrun", variant, "coin-end", [3])
 
 
 def test_a_package_that_findings_need_is_missed_before_training(tmp_path):

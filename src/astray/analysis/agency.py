@@ -74,10 +74,10 @@ def play(
     else:
         assert not isinstance(variant, WorldVariant)
         found = games.find(game)
-        states = initial_states(found, variant, levels)
+        free, states = found.cells.free, initial_states(found, variant, levels)  # which compiles
         numbers, cells_of = states["level"].tolist(), partial(_cells, found)
         begun = [
-            Layout(found.cells.free(s), cell, named_places(found, s, shift))
+            Layout(free(s), cell, named_places(found, s, shift))
             for s, cell in zip(states, _cells(found, states), strict=True)
         ]
     ways = [[layout.agent] for layout in begun]

@@ -154,12 +154,12 @@ def train_agents(
     runs |= {name: [run_folder(root, one) for one in its] for name, its in trainings.items()}
     todo = {run_folder(root, one): one for its in trainings.values() for one in its}
     missing = {run: one for run, one in todo.items() if not checkpoint.finished(run, one)}
-    if plan.own or missing:
-        check_tests(plan)  # before hours of training, not after
     if missing:
         checkpoint.check_all(missing)
         if on == "here":  # else some of these wait for their turn
             check_trainable(plan, trainings)
+    if plan.own or missing:
+        check_tests(plan)  # before hours of training, not after
     own = sorted(plan.own, key=lambda name: plan.own[name].train is not None)
     found = {name: own_runs(plan, name, root) for name in own}  # files may be missing: first
     runs |= {name: found[name] for name in plan.own}
