@@ -162,8 +162,11 @@ REFUSED = {
     "return (s.a, 1) < (0, 2)": r"knows no '\(s.a, 1\) < \(0, 2\)'",
     "return np.uint64(1) + s.a": r"knows no 'np.uint64\(1\) \+ s.a'",
     "x = np.float32(s.a)\n x = s.a\n return x": "knows no 'x = s.a'",  # of 32 bits and of 64
-    "s.row += 1": "knows no 's.row'",
+    "s.row += 1": r"knows no 's.row \+ 1'",
     "s.row = s.b": "knows no 's.row'",
+    "x = s.row + 1\n return x[0]": r"knows no 's.row \+ 1'",
+    "x = np.empty(2)\n x += 1\n return x[0]": r"knows no 'x \+ 1'",
+    "x = -s.b\n return x[0]": "knows no '-s.b'",
 }
 
 
@@ -235,6 +238,8 @@ def translated(folder, body):
         "x = np.uint64(3) << np.uint64(62)\n return np.int64(x >> np.uint64(60))",  # 64 bits
         "return np.int64((np.uint64(9) ^ np.uint64(s.a + 1)) % np.uint64(5))",
         "x = np.full((2, 3), 7)\n h, w = x.shape\n return x[1, 2] + h * w",
+        "x = np.full((2, 2), 0)\n x[0, 1] = 7 / 2\n x[1, 0] -= 1.5\n return 9 * x[0, 1] + x[1, 0]",
+        "x = np.empty(2, np.float32)\n x[0] = 0.1\n x[1] = x[0] / 3\n return np.float64(x[1])",
         "for k in (4, 5):\n  s.a = 10 * s.a + k\n return s.a",
         "x, y = np.empty(2), np.empty(2)\n x[:], y[:] = 1, 2\n return x[0] + 10 * y[1]",
         "s.a = 7 / 2\n s.a += 0.75\n return s.a",  # a field of integers

@@ -62,7 +62,9 @@ def met(game: str | Game, trainings: Iterable[tuple[str | Variant, range]]) -> s
         for chunks in zip(*(in_chunks(game, variant, numbers) for variant in made), strict=True):
             known.update(_level(game, s) for s in chunks[0])
             for before, states in pairwise(chunks):
-                known.update(_level(game, s) for s in states[_differ(before, states)])
+                words, others = (x.view(np.ndarray).view(np.uint64) for x in (before, states))
+                differ = (words != others).reshape(len(states), -1).any(1)
+                known.update(_level(game, s) for s in states[differ])
     return known
 
 
@@ -90,12 +92,6 @@ def unseen(
         f"of {len(looked)} levels of {game.name} that no training drew from, only "
         f"{len(found)} are not in them; {count} are needed"
     )
-
-
-def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return which of states [N] differ in any byte."""
-    words, others = (s.view(np.ndarray).view(np.uint64).reshape(len(s), -1) for s in (one, other))
-    return (words != others).any(1)
 
 
 def _level(game: Game, s: Any) -> bytes:

@@ -198,12 +198,15 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
     (s,) = episode.state.view(np.recarray)
     before = _things(world, s)
     cells, takes, taken_at = [_centre(world, s).round(3).tolist()], None, None
-    while s[event] == NEVER and not _stands(cells, game) and (step := next(walk, None)):
+    patience = 40 if game.real_time else 2  # steps; to jump, a runner may stand and wait
+    while s[event] == NEVER and (step := next(walk, None)):
         (s,) = step.after
         cells.append(_centre(world, s).round(3).tolist())
         gone = before - _things(world, s) or _at_end(world, s, goal, before)
         if gone and takes is None:
             takes, taken_at = sorted(gone), len(cells) - 1
+        if len(cells) > patience and all(cell == cells[-1] for cell in cells[-patience:]):
+            break  # the goal was reached, or cannot be
     if s[event] == NEVER and not s.ended:
         raise ValueError(f"there is no way to {goal!r} from here that the solver knows")
     return {"cells": cells, "takes": takes, "steps": taken_at}
@@ -220,12 +223,6 @@ def _at_end(
     x, y = _centre(world, s)
     away = {one: abs(one[0] + 0.5 - x) + abs(one[1] + 0.5 - y) for one in things}
     return set(sorted((one for one in things if one[2] == code), key=away.__getitem__)[:1])
-
-
-def _stands(cells: list[list[float]], game: Game) -> bool:
-    """Return whether a walk has ended: the goal was reached or cannot be."""
-    patience = 40 if game.real_time else 2  # steps; to jump, a runner may stand and wait
-    return len(cells) > patience and all(cell == cells[-1] for cell in cells[-patience:])
 
 
 def _centre(world: World, s: Any) -> np.ndarray:

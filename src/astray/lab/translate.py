@@ -119,6 +119,7 @@ class _Function:
         (self.tree,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
         self.arguments = [arg.arg for arg in self.tree.args.args]  # pyright: ignore
         self.kinds: dict[str, Kind] = dict(zip(self.arguments, kinds, strict=False))
+        self.arrays: dict[str, np.dtype] = {}  # of local variables
         self.returned: Kind | None = None
 
     def text(self) -> str:
@@ -167,6 +168,8 @@ class _Function:
             case ast.Assign(targets=[target], value=value):
                 yield f"{self.of(target)} = {self._stored(target, value)};"
                 self._learn(target, self._kind(value), node)
+                if isinstance(target, ast.Name) and (made := self._array(value)):
+                    self.arrays[target.id] = made
             case ast.AugAssign(target=target, op=op, value=value) if not _calls(target):
                 whole = ast.BinOp(target, op, value)
                 yield f"{self.of(target)} = {self._stored(target, whole)};"
@@ -201,7 +204,8 @@ class _Function:
             pairs = zip(target.elts, value.elts, strict=True)
             return f"[{', '.join(self._stored(*pair) for pair in pairs)}]"
         self._store(target)
-        field, kind, text = self._field(target), self._kind(value), self.of(value)
+        field = None if isinstance(target, ast.Name) else self._field(target)
+        kind, text = self._kind(value), self.of(value)
         if field and field.shape:  # pages have rows of rows
             raise self._unknown(target)
         if field == np.float32 and kind != SINGLE:
@@ -217,13 +221,27 @@ class _Function:
         self.made.stored.update(part.attr for part in parts)
 
     def _field(self, node: Any) -> np.dtype | None:
-        """Return the type of a state's field, or of a part of it; None for anything else."""
+        """Return the type of a field, a local array, or a part of one; None for anything else."""
         places = 0
         while isinstance(node, ast.Subscript):
             places += len(node.slice.elts) if isinstance(node.slice, ast.Tuple) else 1
             node = node.value
-        found = self.made.fields.get(node.attr) if isinstance(node, ast.Attribute) else None
+        known = self.made.fields if isinstance(node, ast.Attribute) else self.arrays
+        found = known.get(getattr(node, "attr", getattr(node, "id", "")))
         return found and np.dtype((found.base, found.shape[places:]))
+
+    def _array(self, node: Any) -> np.dtype | None:
+        """Return the type of an array that is made, with axes of length 1; None for other nodes."""
+        match node:
+            case ast.Call(ast.Attribute(ast.Name("np"), "empty" | "full" as how), [shape, *given]):
+                known = (x.value if isinstance(x, ast.Constant) else self._value(x) for x in given)
+                axes = (1,) * len(getattr(shape, "elts", "1"))
+                return np.dtype((getattr(np, how)(axes, *known).dtype, axes))
+        return None
+
+    def _is_row(self, node: Any) -> bool:
+        """Return whether a node is a whole array, with which a page cannot calculate."""
+        return bool((field := self._field(node)) and field.shape)
 
     def _learn(self, target: Any, kind: Kind, node: Any) -> None:
         """Record the kinds of variables; raise ValueError if one has several."""
@@ -253,7 +271,8 @@ class _Function:
             case ast.IfExp(body=one, orelse=two):
                 return kind if (kind := self._kind(one)) == self._kind(two) else ""
             case ast.Call(func=function, args=args):
-                return self._kind_of_call(self._value(function), args)
+                made = self._array(node)
+                return self._kind_of_call(made.base.type if made else self._value(function), args)
         if (field := self._field(node)) and field.base == np.float32:
             return SINGLE
         return CASTS.get(type(self._value(node)), "")
@@ -299,6 +318,8 @@ class _Function:
                 return f"[{', '.join(map(self.of, parts))}]"
             case ast.IfExp(test=test, body=body, orelse=other):
                 return f"(yes({self.of(test)}) ? {self.of(body)} : {self.of(other)})"
+            case ast.BinOp() | ast.UnaryOp() if any(map(self._is_row, ast.iter_child_nodes(node))):
+                raise self._unknown(node)
             case ast.UnaryOp(op=ast.Not(), operand=value):
                 return f"!yes({self.of(value)})"
             case ast.UnaryOp(op=op, operand=value) if type(op) in SIGNS:

@@ -144,8 +144,7 @@ def curves(
                 "percentile": percentile,
                 "threshold": limit,
             }
-            | _summed(played, trial, granularity)
-            | _gain((played["return"] - of_novice["return"]).to_numpy())
+            | _summed(played, of_novice, trial, granularity)
             for percentile, limit, played in found
         ]
         seconds = shared + time.perf_counter() - began
@@ -154,9 +153,13 @@ def curves(
     return pl.concat(tables)
 
 
-def _summed(played: pl.DataFrame, trial: Trial, granularity: Granularity) -> dict:
-    """Summarise the episodes with one threshold."""
+def _summed(
+    played: pl.DataFrame, alone: pl.DataFrame, trial: Trial, granularity: Granularity
+) -> dict:
+    """Summarise the episodes with one threshold, beside those of the novice alone."""
     estimate = estimate_mean(played["return"].to_numpy())
+    gains = (played["return"] - alone["return"]).to_numpy()
+    error = gains.std(ddof=1) / len(gains) ** 0.5 if len(gains) > 1 else np.nan
     outcome = label(played, games.find(trial.game), trial.shift)["outcome"]
     asked = played.filter(pl.col("queries") > 0)
     queries, steps = (int(played[name].sum()) for name in ("queries", "length"))
@@ -165,21 +168,19 @@ def _summed(played: pl.DataFrame, trial: Trial, granularity: Granularity) -> dic
         moment: float((asked["moment"] == moment).mean()) if trial.watch and len(asked) else None  # pyright: ignore
         for moment in MOMENTS
     }
-    return {
-        "help": by_level if granularity == "level" else by_step,
-        "queries": float(played["queries"].mean()),  # pyright: ignore
-        "return": estimate.mean,
-        "low": estimate.low,
-        "high": estimate.high,
-        "intended": float((outcome == INTENDED).mean()),  # pyright: ignore
-        "misgeneralized": float((outcome == MISGENERALIZED).mean()),  # pyright: ignore
-    } | moments
-
-
-def _gain(gains: np.ndarray) -> dict[str, float]:
-    """Return the mean gain over levels [N], and its standard error."""
-    error = gains.std(ddof=1) / len(gains) ** 0.5 if len(gains) > 1 else np.nan
-    return {"gain": float(gains.mean()), "error": float(error)}
+    return (
+        {
+            "help": by_level if granularity == "level" else by_step,
+            "queries": float(played["queries"].mean()),  # pyright: ignore
+            "return": estimate.mean,
+            "low": estimate.low,
+            "high": estimate.high,
+            "intended": float((outcome == INTENDED).mean()),  # pyright: ignore
+            "misgeneralized": float((outcome == MISGENERALIZED).mean()),  # pyright: ignore
+        }
+        | moments
+        | {"gain": float(gains.mean()), "error": float(error)}
+    )
 
 
 def least_gain(curves: pl.DataFrame, confidence: float = 0.95) -> tuple[float, float]:

@@ -15,8 +15,7 @@ from astray import imports, world
 from astray.agents.names import check_network
 from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
-from astray.training import older
-from astray.training.named import name_of_variant, stored
+from astray.training.named import name_of_variant, same_levels, stored
 from astray.training.settings import SCORING, Fast, Sampling, check, otherwise
 from astray.validation import of_kind, one_of, shown
 from astray.world import World
@@ -374,7 +373,7 @@ class Config:
         config = PRESETS["paper"].changed(**values)  # which older versions had as defaults
         now = config.training_variant()
         told = data.get("training_variant")
-        if told is not None and not older.same_levels(told, now):
+        if told is not None and not same_levels(told, now):
             raise ValueError(f"its {config.game} {config.variant} is not that of this version")
         return config
 

@@ -63,9 +63,11 @@ def find(work: Work) -> Findings:
             for stage, effect in removed.items()
         ]
 
+    both = came.select("expected", "mean").to_numpy()
+    ends = [both.min(), both.max()]  # of the line where returns equal their expectation
+    equal = pl.DataFrame({"expected": ends, "mean": ends, "what": "as expected"})
     came_figure = charts.curves(
-        pl.concat([came.with_columns(what=pl.lit("what came")), as_expected(came)],
-                  how="diagonal_relaxed"),
+        pl.concat([came.with_columns(what=pl.lit("what came")), equal], how="diagonal_relaxed"),
         x="expected", line="what", x_label="the critic's value", base=["as expected"],
         label="discounted return that came", whiskers=True,
     )  # fmt: skip
@@ -211,13 +213,6 @@ def by_stage(rows: pl.DataFrame, value: str, by: list[str]) -> pl.DataFrame:
     """Return means of `value` by stage and `by`, in the order of STAGES."""
     order = pl.col("stage").replace_strict(STAGES, range(len(STAGES)))
     return group_means(rows, value, ["stage", *by]).sort(order, *by)
-
-
-def as_expected(came: pl.DataFrame) -> pl.DataFrame:
-    """Return the line where returns equal their expectation, over the range of both."""
-    both = came.select("expected", "mean").to_numpy()
-    ends = [both.min(), both.max()]
-    return pl.DataFrame({"expected": ends, "mean": ends, "what": "as expected"})
 
 
 def calibration(table: pl.DataFrame) -> pl.DataFrame:
