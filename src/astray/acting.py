@@ -178,10 +178,10 @@ class Asking:
 
     def send(self, t: int, group: int, turn: Turn) -> None:
         memory = self.memory if turn.kept is None else rows(self.memory, turn.kept)
-        self._turn = turn._replace(memory=memory)
+        self.turn = turn._replace(memory=memory)
 
     def receive(self, group: int) -> Answer:
-        answer = asked(self.policy, self._turn)  # not before: nobody may ask for the last turn's
+        answer = asked(self.policy, self.turn)  # not before: nobody may ask for the last turn's
         self.memory = answer.memory
         return answer
 

@@ -120,11 +120,14 @@ def test_symbols_need_no_pictures(tmp_path, monkeypatch):
 
 
 EARLY = """
+import astray
 from astray.analysis.runs import open_run
 from astray.experiments import catalogue
 
+symbols = astray.Function(len, "right", "symbolic", "original")
 for ask in (
     lambda: open_run("maze-corner", art="original"),  # which sees symbols
+    lambda: astray.audit(symbols, "maze", "corner-small"),
     lambda: catalogue.load("maze-corner").sizes["smoke"].drawn_with("original"),
 ):
     try:
@@ -139,7 +142,7 @@ def test_pictures_of_videos_are_missed_before_the_work(tmp_path):
     (there := tmp_path / "there").mkdir()
     env = processes.environment(ASTRAY_ART=str(tmp_path / "none"))
     code, told, _ = processes.begin(EARLY, there, env=env).ended()
-    assert code == 0 and told.count("the original's pictures are not in") == 2
+    assert code == 0 and told.count("the original's pictures are not in") == 3
 
 
 @pytest.mark.parametrize(

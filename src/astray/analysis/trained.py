@@ -368,8 +368,8 @@ class Opaque(_Asks):
         count = len(env.game.actions)
         if isinstance(self.policy, Random):
             return np.full((len(observations), count), 1 / count)
-        begins = env.states["time"] == 0 if asking else np.ones(len(observations), bool)
         asking = asking or Asking(self)
+        begins = np.full(len(observations), not hasattr(asking, "turn"))  # of the first alone
         asking.send(0, 0, Turn(env, observations, begins))
         return np.eye(count)[asking.receive(0).actions]
 

@@ -88,8 +88,8 @@ class Trainer:
             torch.manual_seed(config.seed)
             self.network = build(self.architecture).to(config.device).eval()
             if not own:
-                with imports.guarded(f"the network {config.network}", ValueError, ImportError):
-                    seen = self.player.images.to(config.device)
+                name, seen = f"the network {config.network}", self.player.images.to(config.device)
+                with torch.no_grad(), imports.guarded(name, ValueError, ImportError):
                     act(self.network, seen.new_zeros(len(seen), self.player.actions).float(), seen)
         self.weights = list(self.network.parameters())
         self.memory = self.network.memory if isinstance(self.network, Recurrent) else 0

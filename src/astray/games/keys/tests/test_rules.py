@@ -226,7 +226,7 @@ def test_steps_at_the_inventory_are_counted_while_a_key_is_in_hand(inventory, ce
         ({"keys": 5, "chests": 5}, "up to 60 keys and chests, 6 groups of 5 \\+ 5; at most 36"),
         ({"keys": 5, "chests": 4, "most": 1, "fewest": 1}, "certainly has room for 8"),
         ({"key_penalty": float("nan")}, "key_penalty must be a finite number; got nan"),
-        ({"step_penalty": 1e9}, "step_penalty must be from"),
+        ({"step_penalty": 1e9}, r"step_penalty must be a finite number from -1e\+06 to 1e\+06"),
         ({"inventory": "middle"}, "unknown inventory 'middle'; there are: upper-right"),
         ({"window": 99}, "from 0 to 26"),
         ({"background": 9}, "from 0 to 8"),
