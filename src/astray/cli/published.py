@@ -77,7 +77,7 @@ def agents(
         ValueError: If options do not go with the action.
     """
     if (levels and what != "check") or (json if what == "fetch" else unchecked):
-        raise ValueError("--levels goes with check, --unchecked with fetch, and --json without it")
+        raise ValueError("--levels goes with check, --unchecked with fetch, --json with the others")
     if what == "list" and name is not None:
         raise ValueError(f"list takes no name; got {shown(name)}")
     if what == "list":
