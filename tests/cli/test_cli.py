@@ -13,6 +13,7 @@ import pytest
 
 from astray import acting, cli, games
 from astray.experiments.catalogue import NAMES, load
+from helpers.drawn import DRAWN, environment
 
 TINY = ["--steps", "512", "--num-envs", "16", "--num-steps", "16", "--minibatches", "4"]
 TINY += ["--width", "16", "--checkpoint-every", "1"]
@@ -202,8 +203,6 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
         ("lab maze-corner --export x --port 80", "--export writes files and opens no --port"),
         ("lab maze-corner --export x --level 50", "levels 0 to 49 are exported; --num-levels says"),
         ("lab maze-corner --observation image", "--observation image needs --policy; agents have"),
-        ("evaluate maze-corner --art original", "--art draws images; this policy sees symbolic"),
-        ("export maze-corner --art original --out x", "--art draws images; this policy sees symb"),
         (
             "evaluate --policy builtins:len --game maze --shift corner --mode greedy",
             "a policy of your own chooses by itself; it has no mode 'greedy'",
@@ -234,6 +233,13 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
 )
 def test_mistakes_are_explained(astray, words, message):
     assert message in astray(*words.split(), fails=True)
+
+
+@pytest.mark.parametrize("verb", ["evaluate maze-corner", "export maze-corner --out x"])
+def test_art_is_of_who_sees_images(verb, astray):
+    environment(DRAWN["maze"])  # else it is told first that there are no pictures
+    told = astray(*verb.split(), "--art", "original", fails=True)
+    assert "--art draws images; this policy sees symbolic" in told
 
 
 def test_actions_are_read_as_powershell_writes_them(astray, tmp_path):
