@@ -356,9 +356,13 @@ def steps(
     check_ending(game, variant, longest)
     n = min(int(batch), count)
     env = without_autoreset(game, variant, n, policy.observation, policy.art, longest)
-    stage = LevelByLevel(env, levels, until, longest)
-    played, told = 0, time.monotonic()
     silent = longest is None and not 0 < env.variant.time_limit <= SHORT  # a World's is 0
+    yield from telling(policy, LevelByLevel(env, levels, until, longest), count, silent)
+
+
+def telling(policy: Policy, stage: LevelByLevel, count: int, silent: bool) -> Iterator[Step]:
+    """Play `count` levels, log how many were, and if `silent`, once that some go on; close all."""
+    played, told = 0, time.monotonic()
     with contextlib.closing(stage):
         for step in play(Asking(policy), stage):
             played, ended = played + step.ended.sum(), step.ended.any()
@@ -391,8 +395,7 @@ def _endless(what: str, remedy: str) -> str:
 
 def check_policy(policy: Any) -> None:
     """Raise ValueError unless `policy` is a policy; a function of observations is not."""
-    missing = [name for name in POLICY if not hasattr(policy, name)]
-    if missing or isinstance(policy, type):
+    if isinstance(policy, type) or not all(hasattr(policy, name) for name in POLICY):
         raise ValueError(
             f"a policy must have {', '.join(POLICY)}: load_agent(...) gives one, and "
             f"Function(...) makes one of a function; got {shown(policy)}"

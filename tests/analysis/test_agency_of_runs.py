@@ -7,8 +7,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from astray import games
+from astray import acting, games
 from astray.agency.measure import PAPER
+from astray.analysis import agency
+from astray.analysis.adapters import Function
 from astray.analysis.agency import (
     DEVICE,
     MOST,
@@ -162,6 +164,23 @@ def test_episodes_of_a_world_that_tells_its_cells_are_measured():
         assess_policy(Walk("end"), world, world.variant("end"), "end", [1], "Paper")
     with pytest.raises(ValueError, match="'room' has no cells, which this needs: World"):
         play(Walk("end"), rooms.WORLD, rooms.WORLD.variant("end"), [1], world.shifts["end"])
+
+
+def test_episodes_that_never_end_are_measured_up_to_the_longest(monkeypatch):
+    world = replace(rooms.ENDLESS, cells=layout)
+    left = Function(rooms.go_left, "left")
+    found = play(left, world, world.variant("end"), [3, 5], world.shifts["end"], longest=7)
+    assert [one.cells for one in found] == [[(x, 0) for x in (4, 3, 2, 1, 0, 0, 0, 0)]] * 2
+    how = left, world, world.variant("end"), "end", [3]
+    assessed, video = assess_policy(*how, longest=3)
+    assert assessed.episodes["moves"].to_list() == [3] and len(video()) == 4
+    monkeypatch.setattr(acting, "OF_WORLD", 500)
+    with pytest.raises(ValueError, match="after 500 steps: say `longest`"):
+        assess_policy(*how)
+    monkeypatch.setattr(agency, "initial_states", lambda *given: pytest.fail("it compiled"))
+    for_ever = ANYWHERE.with_knobs({"time_limit": 2_000_000})
+    with pytest.raises(ValueError, match="last up to 2,000,000 steps: say `longest`"):
+        play(left, "maze", for_ever, [3], SHIFT)
 
 
 def test_an_episode_without_a_step_of_the_agent_has_a_video_of_one_frame():

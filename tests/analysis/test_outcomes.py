@@ -171,4 +171,8 @@ def test_episodes_that_never_end_are_refused_at_once_or_left_after_the_longest(m
     assert "helpers.lava:stay" in said and "apples a step" in said
     words = ("--game", "maze", "--shift", "corner-small", "--policy", "random", "--levels", "0:2")
     told = astray("agency", *words, "--set", "time_limit=2000000", fails=True)
+    assert "say --longest, after which" in told
+    words += ("--set", "time_limit=2000000")
+    assert "2 episodes with" in astray("agency", *words, "--longest", "30")
+    told = astray("explain", *words[:-4], *words[-2:], fails=True)
     assert "say `longest`, after which" in told  # an option that the verb lacks

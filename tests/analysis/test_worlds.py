@@ -385,6 +385,9 @@ def test_episodes_none_of_which_ends_are_told_before_they_are_refused(monkeypatc
     of_game = games.find("maze").variant("corner-small").with_knobs({"time_limit": 20_000})
     next(acting.steps(left, "maze", of_game, LEVELS[:2]))
     assert [one for one in caplog.messages if "longest" in one][1:] == [f"0 of 2 {said.format(1)}"]
+    with pytest.raises(ValueError, match="after 500 steps"):
+        video.play(left, troubled("endless"), "end", 3)
+    assert caplog.messages[-1] == f"0 of 1 {said.format(1)}"
 
 
 def test_a_level_without_end_after_others_is_told_where_nobody_asked_for_progress(

@@ -214,6 +214,8 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
             "'learning_rate' is set twice: to '1' and",
         ),
         ("train maze corner --set", "a knob must be set as NAME=VALUE; got ''"),
+        ("level maze corner --levels 5 --levels=7", "--levels is given more than once"),
+        ("explain maze-corner --others 2 --num_levels 3", "--num-levels is given more than once"),
         ("level maze corner --set squid=5", "unknown knob 'squid'; there are: time_limit"),
         ("level maze corner --set region=5.5", "region must be of type int; got 5.5"),
         (

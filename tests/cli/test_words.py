@@ -5,6 +5,8 @@ import inspect
 import re
 import shlex
 import sys
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,7 @@ import tyro
 
 from astray.cli import guess, settings, verbs
 from astray.cli.arguments import pairs
-from astray.experiments.sweep.settings import axes, changed
+from astray.experiments.sweep.settings import Sweep, axes, changed
 from astray.training.config import PRESETS
 from astray.validation import command_of
 from helpers.flat import options
@@ -82,6 +84,16 @@ def test_a_meaning_has_one_word_in_all_verbs():
 def test_scripts_with_earlier_names_of_options_go_on(given, astray):
     drawn = astray("level", "maze", "corner-small", "--levels", "7")
     assert astray("level", "maze", "corner-small", *given.split()) == drawn
+
+
+def test_the_example_of_a_sweep_has_combinations_that_can_be_trained():
+    (example,) = re.findall(
+        "Example: astray sweep (.*)", inspect.getdoc(verbs.find("sweep").func) or ""
+    )
+    words = shlex.split(example)
+    given = [word for flag, word in pairwise(words) if flag == "--set"]
+    config = replace(PRESETS["small"], game=words[0], variant=words[1])
+    assert len(Sweep(config, axes(given)).cells()) == 4
 
 
 def test_set_means_knobs_and_settings_by_their_names():

@@ -12,7 +12,7 @@ from PIL import Image
 from scipy.special import softmax
 
 from astray import games
-from astray.acting import Levels, Policy, initial_states, steps
+from astray.acting import Levels, Policy, check_ending, initial_states, steps
 from astray.agency.gridworld import Cell
 from astray.agency.gridworld import World as Gridworld
 from astray.agency.measure import CALIBRATED, PRESETS, Episode, Options, decisions, measure_named
@@ -58,12 +58,14 @@ def play(
     levels: Levels,
     shift: Shift,
     batch: int = 256,
+    longest: int | None = None,
 ) -> list[Played]:
     """Play `policy` in those of `levels` that contain all the goals.
 
     Raises:
-        ValueError: If the game or the world has no `cells`.
+        ValueError: If there are no `cells`, or episodes may last for ever and `longest` is None.
     """
+    check_ending(game, variant, longest)  # before a game compiles
     found: Game | World
     if isinstance(game, World):
         begun = _layouts(game, game.variant(variant), levels)
@@ -81,7 +83,7 @@ def play(
             for s, cell in zip(states, _cells(found, states), strict=True)
         ]
     ways = [[layout.agent] for layout in begun]
-    for step in steps(policy, found, variant, levels, batch=batch):
+    for step in steps(policy, found, variant, levels, batch=batch, longest=longest):
         for level, cell in zip(step.level, cells_of(step.after), strict=True):
             ways[level].append(cell)
     played = map(partial(_played, found, shift), numbers, begun, ways)
@@ -126,9 +128,8 @@ def _played(
     goals = {name: [check_cell(place)] for name, place in places.items()}
     world = Gridworld(begun.free)
     last = max((way.index(place) for place in places.values() if place in way), default=len(way))
-    intended = goals[shift.intended][0]
     cells = way[: last + 1]
-    return Played(level, Episode(world, world.path(cells), intended), cells, goals)
+    return Played(level, Episode(world, world.path(cells), goals[shift.intended][0]), cells, goals)
 
 
 def named_places(game: Game, s: Any, shift: Shift) -> dict[str, Any]:
@@ -262,18 +263,20 @@ def assess_policy(
     shift: str | Shift,
     levels: Sequence[int] | np.ndarray,
     measure: str = "calibrated",
+    longest: int | None = None,
 ) -> tuple[Assessment, Callable[[], np.ndarray]]:
     """Assess any policy; also return a function that records its most informative episode.
 
     Args:
         measure: Name in `PRESETS`.
+        longest: Steps after which an episode is truncated; None for no limit.
 
     Raises:
         ValueError: If the game or the world has no `cells`, or no level has all the goals.
     """
     one_of("measure", measure, PRESETS)
     options = PRESETS[measure]
-    played = play(policy, game, variant, levels, load_shift(game, shift))
+    played = play(policy, game, variant, levels, load_shift(game, shift), longest=longest)
     assessed = assess(played, options)
     informative = played[assessed.most_informative]
     return assessed, lambda: posterior_video(policy, game, variant, informative, options)
@@ -309,8 +312,7 @@ def posterior_video(
     def caption(t: int) -> str:
         return f"where to? agent: {100 * growth.agent[moves[t]]:.0f} %"
 
-    level = f"level {played.level}"
-    return video.beside(frames, np.stack(maps), captions=[level, caption])
+    return video.beside(frames, np.stack(maps), captions=[f"level {played.level}", caption])
 
 
 def heat(world: Gridworld, belief: np.ndarray, here: int, pixels: int) -> np.ndarray:

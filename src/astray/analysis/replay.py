@@ -50,8 +50,5 @@ def replay(
         terminated = bool(step.terminated[0])
         ended = {"terminated": terminated, "truncated": bool(step.ended[0]) and not terminated}
     events = {event: int(s[event]) for event in game.events}
-    return (
-        {"start": start}
-        | ended
-        | {"return": total, "length": len(moves), "events": events, "steps": moves}
-    )
+    told = {"return": total, "length": len(moves), "events": events, "steps": moves}
+    return {"start": start} | ended | told

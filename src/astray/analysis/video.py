@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from astray import acting, games
-from astray.acting import Asking, LevelByLevel, Policy, Step, check_ending, check_policy, steps
+from astray.acting import LevelByLevel, Policy, Step, check_ending, check_policy, steps
 from astray.envs.pictures import PICTURES, picture
 from astray.envs.worlds import WorldVectorEnv
 from astray.files import write_aside
@@ -66,20 +66,20 @@ def play(
     bounded("pixels", pixels, *PICTURES)
     if isinstance(game, World):
         played, frames = _rendered(policy, game, game.variant(variant), level, pixels, longest)
-        states = _states(played)
     else:
         chosen = {"": level} if isinstance(level, Level) else [level]
         played = [*_fitting(steps(policy, game, variant, chosen, longest=longest), pixels)]
-        game, states = games.find(game), _states(played)
-        assert not isinstance(variant, WorldVariant)
-        frames = picture(game, game.variant(variant), states, pixels, policy.art)
-    reached = {event: int(states[event][-1]) for event in game.events}
+        game, frames = games.find(game), np.zeros(0)
+    last, states = played[-1].after[0], [*(step.before for step in played), played[-1].after]
+    states = np.concatenate(states).view(np.recarray)
+    if isinstance(game, Game):
+        frames = picture(game, game.variant(variant), states, pixels, policy.art)  # pyright: ignore
     return Episode(
         frames=frames,
         observations=_joined([*(step.observations for step in played), played[-1].seen]),
         states=states,
         rewards=np.concatenate([step.rewards for step in played]),
-        events={event: step if step >= 0 else None for event, step in reached.items()},
+        events={event: int(last[event]) if last[event] >= 0 else None for event in game.events},
         level=-1 if isinstance(level, Level) else level,
         terminated=bool(played[-1].terminated[0]),
     )
@@ -97,11 +97,6 @@ def _fitting(played: Iterable[Step], pixels: int) -> Iterator[Step]:
         yield step
 
 
-def _states(played: Sequence[Step]) -> np.recarray:
-    states = [*(step.before for step in played), played[-1].after]
-    return np.concatenate(states).view(np.recarray)
-
-
 def _rendered(
     policy: Policy, game: World, variant: WorldVariant, level: Any, pixels: int, longest: int | None
 ) -> tuple[list[Step], np.ndarray]:
@@ -111,19 +106,17 @@ def _rendered(
     env = WorldVectorEnv(game, variant.rendered(), 1, longest)
     stage = LevelByLevel(env, [level], longest=longest)
     played, shown = [], [_enlarged(env.render()[0], pixels)]
-    for step in _fitting(acting.play(Asking(policy), stage), pixels):
+    for step in _fitting(acting.telling(policy, stage, 1, longest is None), pixels):
         played.append(step)
         shown.append(_enlarged(env.render()[0], pixels))
-    stage.close()
     return played, np.stack(shown)
 
 
 def _enlarged(frame: np.ndarray, pixels: int) -> np.ndarray:
     """Scale a frame so that its longer side is `pixels`."""
-    height, width = frame.shape[:2]
-    scale = pixels / max(height, width)
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    return np.array(Image.fromarray(frame).resize(size, Image.Resampling.NEAREST))
+    scale = pixels / max(frame.shape[:2])
+    width, height = (max(1, round(side * scale)) for side in frame.shape[1::-1])
+    return np.array(Image.fromarray(frame).resize((width, height), Image.Resampling.NEAREST))
 
 
 def _joined(parts: Sequence[Any]) -> Any:

@@ -223,6 +223,7 @@ def agency(
         str | None, otherwise("the first 300 that the training does not draw from", NUMBERS)
     ] = None,
     measure: Literal["paper", "calibrated"] = "calibrated",
+    longest: Longest = None,
     out: Annotated[Path | None, otherwise("none")] = None,
     json: Json = False,
 ) -> None:
@@ -244,7 +245,7 @@ def agency(
     policy, rules, _, variant, shift, config = player.open()
     unseen = config.unseen_levels if config else range(SOME)
     chosen = unseen[:SOME] if levels is None else level_numbers(levels)
-    assessed, recorded = assess_policy(policy, rules, variant, shift, chosen, measure)
+    assessed, recorded = assess_policy(policy, rules, variant, shift, chosen, measure, longest)
     if out:
         _write_assessment(assessed, recorded(), out)
     if json:

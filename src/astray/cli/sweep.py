@@ -42,7 +42,7 @@ def sweep(
     The same command resumes an interrupted sweep; more values or seeds extend it. Finished
     trainings are kept.
 
-    Example: astray sweep maze corner-small --set lr=1e-4,5e-4 --set world=5,7 --seeds 3
+    Example: astray sweep maze corner-small --set lr=1e-4,5e-4 --set largest=5,7 --seeds 3
 
     Args:
         preset: Preset that gives the other settings their defaults.

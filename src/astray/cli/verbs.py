@@ -63,11 +63,14 @@ def run() -> None:
     """Run the verb on the command line; raise ValueError if there is none of that name."""
     given = [re.sub("^--[a-z]+", lambda found: EARLIER.get(found[0], found[0]), word)
              for word in sys.argv[1:]]  # fmt: skip
+    options = [word.partition("=")[0].replace("_", "-") for word in given if word[:2] == "--"]
     warnings.showwarning = functools.partial(_warn, warnings.showwarning)
     if given == ["--version"]:
         print(version("astray"))
     elif given and (found := re.search(r"(?m)^(?:(--[\w-]+)(?:=|\n)|)$", "\n".join(given))):
         raise ValueError(f"{found[1] or 'each word'} needs a value; got ''")  # a path: this folder
+    elif twice := {one for one in options if options.count(one) > 1} - {"--set"}:
+        raise ValueError(f"{min(twice)} is given more than once")  # the last would win
     elif given and given[0] in VERBS:
         function = find(given[0])
         verb = _parsed(function, given)
