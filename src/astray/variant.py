@@ -41,17 +41,7 @@ class Variant:
     shifted: Variant | None = None
 
     def __post_init__(self) -> None:
-        self._check_kinds()
-        finite("shift_probability", self.shift_probability, 0, 1)
-        if self.shift_probability and self.shifted is None:
-            raise ValueError("shift_probability needs a `shifted` variant to shift to")
-        if self.shifted is not None and type(self.shifted) is not type(self):
-            raise ValueError("`shifted` is a variant of another game")
-        bounded("time_limit", self.time_limit, 1, MOST)
-
-    def _check_kinds(self) -> None:
-        """Raise ValueError unless each knob has its declared type, to which compiled code casts."""
-        for name, kind in knobs(type(self)).items():
+        for name, kind in knobs(type(self)).items():  # to which compiled code casts
             choices, given = typing.get_args(kind), getattr(self, name)
             if choices:
                 one_of(name, given, choices)
@@ -62,6 +52,12 @@ class Variant:
                 bounded(name, given, *_bounds(type(self)).get(name, (-MOST, MOST)))
             else:
                 finite(name, given)
+        finite("shift_probability", self.shift_probability, 0, 1)
+        if self.shift_probability and self.shifted is None:
+            raise ValueError("shift_probability needs a `shifted` variant to shift to")
+        if self.shifted is not None and type(self.shifted) is not type(self):
+            raise ValueError("`shifted` is a variant of another game")
+        bounded("time_limit", self.time_limit, 1, MOST)
 
     def with_knobs(self, changes: Mapping[str, Any]) -> Self:
         """Return the variant with some knobs changed; text is parsed as the knob's type.

@@ -206,7 +206,9 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: measure_online(Episode(ISLANDS, LEFT, (0, 0)), switch=True),
          "not '1/(t+1)', must be a finite number from 0 to 1; got True"),
         (lambda: measure(Episode(ISLANDS, LEFT, (0, 0))).likeliest(-1), "count must be an integer"),
-        (lambda: Options(beta=10**400), "beta must be a finite number from 1 on; got 1000"),
+        (lambda: Options(beta=1e9), "beta must be a finite number from 1 to 1e+08; got 1000"),
+        (lambda: rule(4, 2**70), "beta must be a finite number from 1 to 1e+08; got 1180"),
+        (lambda: Options(beta=10**400), "beta must be a finite number from 1 to 1e+08; got 1000"),
     ],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused(wrong, words):

@@ -194,7 +194,7 @@ DEEP = b"\x91" * 900 + b"\xc0"  # more than Python prints
         (other("1", "Dense_0", "bias", weights=np.full(15, 1e300)), "not all finite"),
         *((other("0", "Dense_0", "kernel", weights=np.zeros(shape, "f4")), "not all fin|it would")
           for shape in ((0, 256), (64, 0), (0, 0))),
-        (other("0", "ConvSequence_0", "Conv_0", "kernel", weights=np.empty((0, 3, 3, 2**33), "f4")),
+        (other("0", "ConvSequence_0", "Conv_0", "kernel", weights=np.empty((0, 3, 3, 2**30), "f4")),
          "fits no network"),
         (b"\x82\xa10\x80\xa11\x83\xa10\x81\xa6params" + b"\x81\xa1a" * 1000
          + b"\x01\xa11\x80\xa12\x80", "without parameters"),
@@ -334,7 +334,7 @@ REFUSED_PTH = {
         lambda: changed(fc_value__bias=torch.full((1,), 1e300, dtype=torch.float64)),
         "not all finite"),
     "a width without numbers": (
-        lambda: changed(embedder__block1__conv__weight=torch.empty(2**33, 0, 3, 3)),
+        lambda: changed(embedder__block1__conv__weight=torch.empty(2**31 - 1, 0, 3, 3)),
         "fits no network",
     ),
     "a layer twice": (lambda: saved({**reference((2, 2, 2))[0], "policy.bias": torch.ones(15)}),
@@ -361,6 +361,24 @@ REFUSED_PTH = {
     "a wrong checksum": (
         lambda: archived(BYTEARRAY).replace(BYTEARRAY, BYTEARRAY[:-1] + b" "), "damaged, or not"),
 }  # fmt: skip
+
+
+def test_names_of_weights_that_torch_takes_for_one_are_refused():
+    """Before 2.13 it read a thousand numbers where there is one."""
+    asked = b"(X\7\0\0\0storagectorch\nFloatStorage\nX\1\0\0\0%sX\3\0\0\0cpuM\xe8\3tQ"
+    data = b"\x80\2]" + asked % b"a" + b"a" + asked % b"A" + b"a."
+    with zipfile.ZipFile(file := io.BytesIO(archived(data)), "a") as archive:
+        for key in "aA":
+            archive.writestr(f"archive/data/{key}", bytes(4000))
+    with pytest.raises(ValueError, match="or have one name"):
+        pth.read(file.getvalue())
+
+
+@pytest.mark.parametrize("name", ["get", "keys"])
+def test_a_dictionary_whose_methods_a_file_hides_is_refused(name):
+    hidden = b"}X%s\0\0\0%sK\1sb." % (bytes([len(name)]), name.encode())
+    with pytest.raises(ValueError, match="more than torch notes of a state's modules"):
+        pth.read(archived(b"\x80\2ccollections\nOrderedDict\n)R" + hidden))
 
 
 @pytest.mark.parametrize("name", REFUSED_PTH)

@@ -121,6 +121,9 @@ HOSTILE = {
     "a name of shared tuples": (b"\x80\x04" + 2 * SHARED + b"\x93.", "a tuple where a str belongs"),
     "numbers of shared tuples": (
         b"\x80\x03cnumpy\ndtype\n" + SHARED + b"\x85R.", r"a type of numbers is \(\("),
+    "an order of shared tuples": (
+        b"\x80\x03cnumpy\ndtype\n(cnumpy\ndtype\nX\x02\0\0\0f4\x85R(K\x03" + SHARED
+        + b"tbtR.", "a tuple where a str belongs"),
     "a shape of shared tuples": (described(shape=shared()), r"a tuple of integers; got \(\("),
     "a class of shared tuples": (described(subclass=shared()), r"array of the class \(\("),
     "an integer of a million digits": (

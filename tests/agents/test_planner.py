@@ -93,6 +93,27 @@ def test_a_damaged_checkpoint_is_refused(tmp_path):
         planner.read(tmp_path / "elsewhere")
 
 
+@pytest.mark.parametrize(
+    "place, shape, why",
+    [
+        ("dense_list_0/kernel", (2**31, 0), "cells a side must be an integer from 1 to 1000"),
+        ("cell_list_0/project", (1, 30_000), r"pools has the weights \(1, 30000\)"),
+        ("cell_list_0/hh/kernel", (1, 1, 2**40, 0), "channels must be an integer from 1 to 1000"),
+    ],
+)
+def test_numbers_that_a_checkpoint_promises_take_no_memory(tmp_path, place, shape, why):
+    sokoban_planner(tmp_path)
+    held = planner.unpacked((tmp_path / "model").read_bytes())
+    *path, last = place.split("/")
+    at = held["params"]["params"]["network_params"]
+    for name in path:
+        at = at[name]
+    at[last] = np.zeros(shape, np.float32)
+    (tmp_path / "model").write_bytes(flax_bytes(held))
+    with pytest.raises(ValueError, match=why):
+        planner.read(tmp_path)
+
+
 def test_the_verb_refuses_a_planner_for_want_of_the_game(tmp_path):
     sokoban_planner(tmp_path)
     for path in (tmp_path, tmp_path / "model"):

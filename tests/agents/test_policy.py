@@ -23,6 +23,18 @@ def test_weights_of_other_numbers_than_the_networks_are_refused(kind, tmp_path):
             load(path, "maze")
 
 
+@pytest.mark.parametrize(
+    "largest, said",
+    [
+        ((1, 1, 6), "`largest` must have a number for each plane"),
+        ((1, 1, 6, 10**400), "sizes of networks must be integers from 1 to 2147483647"),
+    ],
+)
+def test_a_network_of_planes_knows_the_largest_value_of_each(largest, said):
+    with pytest.raises(ValueError, match=said):
+        policy.Architecture("mlp", (4, 7, 7), largest, 15)
+
+
 def test_a_file_that_a_network_misses_is_not_taken_for_the_agents_own(monkeypatch):
     def build(self):
         raise FileNotFoundError("no vocabulary at words.txt")

@@ -173,10 +173,57 @@ def test_a_compressed_or_damaged_archive_is_refused(file, message):
         pth.read(file)
 
 
-def test_numbers_that_a_pickle_asks_for_again_are_read_once():
-    def text(said):
-        return b"X" + struct.pack("<I", len(said)) + said.encode()
+def text(said):
+    return b"X" + struct.pack("<I", len(said)) + said.encode()
 
+
+def module(parameters, modules):
+    return (
+        START[2:]
+        + b")\x81}("
+        + text("_parameters")
+        + parameters
+        + text("_modules")
+        + modules
+        + b"ub"
+    )
+
+
+MANY = b"}(" + b"".join(text(f"{k}") + b"N" for k in range(300)) + b"u"
+SHARED = b"K\1" + b"q\0h\0\x86" * 30  # a tuple of itself twice, thirty times over
+
+
+@pytest.mark.parametrize(
+    "data, said",
+    [
+        (module(b"}", b"}" + text("a" * 10**5) + module(b"}", MANY) + b"s"), "or a long name"),
+        (module(b"}", MANY), "more than 200 modules and parameters"),
+        (module(MANY, b"}"), "more than 200 modules and parameters"),
+        (
+            START[2:] + b")\x81cnumpy\ndtype\ncown\nClass\n)\x81" + SHARED + b"b\x85R",
+            "is <.*Foreign",
+        ),
+    ],
+    ids=["a long name", "modules", "parameters", "an object of shared tuples"],
+)
+def test_names_and_objects_that_a_file_shares_are_not_written_out(data, said):
+    """A name of 100,000 letters before each of 20,000 others took 2 GB."""
+    with pytest.raises(ValueError, match=said):
+        pth.read(packed(0, **{"data.pkl": b"\x80\2" + data + b"."}))
+
+
+def test_numbers_of_the_other_byte_order_are_refused(saved):
+    with zipfile.ZipFile(file := io.BytesIO(saved(ExportModel()))) as archive:
+        parts = {one: archive.read(one) for one in archive.namelist()}
+    (order,) = (one for one in parts if one.endswith("byteorder"))
+    with zipfile.ZipFile(file := io.BytesIO(), "w") as archive:
+        for name, data in (parts | {order: b"big"}).items():
+            archive.writestr(name, data)
+    with pytest.raises(ValueError, match="begin with their largest part"):
+        pth.read(file.getvalue())
+
+
+def test_numbers_that_a_pickle_asks_for_again_are_read_once():
     name = b"ctorch\nFloatStorage\n"
     asked = b"(" + text("storage") + name + text("0") + text("cpu") + b"K\1tQ"
     one, other = rllte._root(

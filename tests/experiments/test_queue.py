@@ -52,6 +52,12 @@ def test_a_queue_with_a_mistake_in_it_does_not_begin(names, message, done):
     assert not done
 
 
+def test_art_that_no_study_has_is_refused_once(done, capsys):
+    with pytest.raises(ValueError, match=r"^published agents see the art that they know"):
+        run.reproduce_each(["all"], "published", Path(), art="original")
+    assert not done and not capsys.readouterr().err
+
+
 def test_all_are_those_of_the_size(done):
     with pytest.raises(RuntimeError, match="maze-corner"):
         run.reproduce_each(["all"], "night", Path())

@@ -20,7 +20,7 @@ from astray.agency import devices
 from astray.agency.agents import Agents, AtGoal, of_every_cell
 from astray.agency.devices import First, Observation
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
-from astray.agency.steps import Noise, Rule, log_product, log_table, rule
+from astray.agency.steps import SURE, Noise, Rule, log_product, log_table, rule
 from astray.validation import MOST, bounded, check_words, finite, of_kind, one_of
 
 Goals = Literal["accessible and true", "accessible", "all cells"]
@@ -58,7 +58,7 @@ class Options:
         check_words(self)
         of_kind("observations", self.observations, tuple)
         finite("noise_atom", self.noise_atom, 0, 1)
-        finite("beta", self.beta, 1)
+        finite("beta", self.beta, 1, SURE)
         for what in self.observations:
             one_of("observation", what, devices.OBSERVATIONS)
         if len(set(self.observations)) < max(1, len(self.observations)):

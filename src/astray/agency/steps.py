@@ -32,6 +32,7 @@ for _code, (_best, _k, _L) in enumerate(KINDS):
     KIND[int(_best), _k, _L] = _code
 
 LONGEST = 100_000  # steps; there the error of the integral is 3e-7, and beyond it grows fast
+SURE = 1e8  # the largest beta of a prior; there the error is 3e-9, and at 1e9 already 3e-4
 EXACT = 1023  # the highest degree integrated by Gauss-Legendre nodes of its own
 
 
@@ -56,9 +57,9 @@ def rule(degree: int, beta: float = 1.0) -> Rule:
     10,000.
 
     Raises:
-        ValueError: If the degree is too large.
+        ValueError: If the degree or beta is too large.
     """
-    finite("beta", beta, 1)
+    finite("beta", beta, 1, SURE)
     if degree > LONGEST:
         raise ValueError(f"at most {LONGEST} steps can be measured together; got {degree}")
     needed = degree + int(np.ceil(beta - 1))

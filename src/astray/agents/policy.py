@@ -24,7 +24,7 @@ from astray.agents.names import check_network, depth_and_ticks, is_own
 from astray.agents.patch import nature, overlap, patch, patch_impala, strided_impala
 from astray.agents.recurrent import WithCell
 from astray.files import read
-from astray.validation import brief
+from astray.validation import MOST, brief
 
 GROUP = "astray.networks"  # of entry points, by which installed packages offer theirs
 FORMAT = 1  # of the files; goes up when an older version could not read them
@@ -56,12 +56,11 @@ class Architecture:
 
     def __post_init__(self) -> None:
         sizes = (self.actions, self.scale, self.width, *self.shape, *self.largest, *self.widths)
-        if (
-            not self.shape
-            or len(self.widths) != 3
-            or any(type(n) is not int or n < 1 for n in sizes)
-        ):
-            raise ValueError(f"an architecture's sizes must be integers from 1 on; got {self}")
+        are_sizes = all(type(n) is int and 1 <= n <= MOST for n in sizes)
+        if not are_sizes or not self.shape or len(self.widths) != 3:
+            raise ValueError(f"sizes of networks must be integers from 1 to {MOST}; got {self}")
+        if self.largest and len(self.largest) != self.shape[0]:
+            raise ValueError(f"`largest` must have a number for each plane; got {self}")
         check_network(self.name)
 
     def build(self) -> nn.Module:

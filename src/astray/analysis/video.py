@@ -64,16 +64,20 @@ def play(
     """
     of_kind("level", level, int | np.integer | Level)
     bounded("pixels", pixels, *PICTURES)
+    check_policy(policy)
     if isinstance(game, World):
         played, frames = _rendered(policy, game, game.variant(variant), level, pixels, longest)
     else:
         chosen = {"": level} if isinstance(level, Level) else [level]
+        game = games.find(game)
+        variant = game.variant(variant)  # pyright: ignore[reportArgumentType]
+        game.drawn(policy.art, variant)  # told before the work: who sees symbols is drawn, too
         played = [*_fitting(steps(policy, game, variant, chosen, longest=longest), pixels)]
-        game, frames = games.find(game), np.zeros(0)
+        frames = np.zeros(0)
     last, states = played[-1].after[0], [*(step.before for step in played), played[-1].after]
     states = np.concatenate(states).view(np.recarray)
     if isinstance(game, Game):
-        frames = picture(game, game.variant(variant), states, pixels, policy.art)  # pyright: ignore
+        frames = picture(game, variant, states, pixels, policy.art)  # pyright: ignore
     return Episode(
         frames=frames,
         observations=_joined([*(step.observations for step in played), played[-1].seen]),
@@ -101,7 +105,6 @@ def _rendered(
     policy: Policy, game: World, variant: WorldVariant, level: Any, pixels: int, longest: int | None
 ) -> tuple[list[Step], np.ndarray]:
     """Play an episode of a World; its steps, and what `render` shows before and after each."""
-    check_policy(policy)
     check_ending(game, variant, longest)
     env = WorldVectorEnv(game, variant.rendered(), 1, longest)
     stage = LevelByLevel(env, [level], longest=longest)

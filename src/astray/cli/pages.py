@@ -69,6 +69,7 @@ def explain(
     level.check()
     player.policy.check_game("explain")
     policy, game, name, levels, named, config = player.open()
+    game.drawn(policy.art, levels)  # it is drawn, also where the policy sees symbols
     agent = looked_into(policy, game)
     reads = default_layers(agent) if layers is None else tuple(layers.split(","))
     if reads:

@@ -71,7 +71,10 @@ def compare(
     if not 2 <= len(names) <= MOST or len({*names}) < len(names):
         raise ValueError(f"compare takes 2 to {MOST} agents of different names; got {names}")
     check_free(folder := path_of("folder", folder), PAGE, SIGN, ("figures", "videos"))
-    between = load_shift(game, shift)
+    between, rules = load_shift(game, shift), world.find(game)
+    where: Any = variant or between.test
+    for one in policies:
+        rules.drawn(one.art, rules.variant(where))  # in the videos, also where it sees symbols
     short = _short(names)
     players = dict(zip(short.values(), policies, strict=True))
     curves = _curves(players)  # before the work, as metrics may be damaged
@@ -82,8 +85,7 @@ def compare(
     names = [*short.values()]
     rates = _in_order(result.rates, names)
     differences = paired(result, names)
-    where: Any = variant or between.test
-    named = (name for name, one in world.find(game).variants.items() if one == where)
+    named = (name for name, one in rules.variants.items() if one == where)
     shown: list[Plot] = [_outcomes(rates), *curves]
     told: dict[str, Sequence[Item]] = {
         "": [*result.verdict.splitlines(), Code(command or WRITER)],

@@ -149,7 +149,12 @@ def train_agents(
         bounded("workers", workers, 1, MOST)
         if on == "ray":
             raise ValueError("a cluster says how many agents are trained at once; leave `workers`")
-    runs = {name: [published_run(agent)] for name, agent in plan.published.items()}
+    for agent in {*plan.published.values()} - {*folders.names()}:
+        raise ValueError(
+            f"the published agent {agent} is not here; to bring it: astray agents fetch {agent}, "
+            f"and the pictures that it sees: astray art import"
+        )
+    runs = {name: [folders.find(agent)] for name, agent in plan.published.items()}
     trainings = plan.trainings()
     runs |= {name: [run_folder(root, one) for one in its] for name, its in trainings.items()}
     todo = {run_folder(root, one): one for its in trainings.values() for one in its}
@@ -228,20 +233,6 @@ def give_weights(plan: Plan, runs: Runs, names: Iterable[str]) -> None:
                 give(one.weights, run, file)
 
 
-def published_run(agent: str) -> Path:
-    """Return the run folder of a pretrained or published agent.
-
-    Raises:
-        ValueError: If it is not present; the message says how to get it.
-    """
-    if agent not in folders.names():
-        raise ValueError(
-            f"the published agent {agent} is not here; to bring it: astray agents fetch {agent}, "
-            f"and the pictures that it sees: astray art import"
-        )
-    return folders.find(agent)
-
-
 def reproduce_each(names: Sequence[str], size: Size, root: Path, **how: Any) -> Path:
     """Run experiments one after the other, also after failures; return the index page.
 
@@ -250,15 +241,22 @@ def reproduce_each(names: Sequence[str], size: Size, root: Path, **how: Any) -> 
         how: Further arguments of `reproduce`.
 
     Raises:
-        ValueError: If an experiment or its size does not exist; before any work.
+        ValueError: If an experiment or its size does not exist, or none has such art; before any
+            work.
         RuntimeError: If some failed; at the end.
     """
     chosen: list[str] = []
     for name in names:
         there = catalogue.NAMES if name == ALL else ()
         chosen += [n for n in there if size in catalogue.load(n).sizes] or [name]
-    for name in chosen:
-        sized(name, size)
+    plans, undrawn = [sized(name, size)[1].sizes[size] for name in chosen], []
+    for plan in plans:
+        try:
+            plan.drawn_with(how.get("art", OWN))
+        except (ValueError, FileNotFoundError) as error:
+            undrawn.append(error)
+    if len(undrawn) == len(plans):
+        raise undrawn[0]
     failed: dict[str, Exception] = {}
     for name in chosen:
         try:

@@ -210,8 +210,8 @@ class Plan:
         return world.find(self.world) if self.world is not None else self.config.find_game()
 
     def drawn_with(self, art: str) -> Plan:
-        """Return the plan with other art; raise ValueError if its agents are published."""
-        if self.published:
+        """Return the plan with other art; raise ValueError if no agents that it trains see it."""
+        if self.published or not self.agents:
             if art != OWN:
                 raise ValueError(f"published agents see the art that they know; got {shown(art)}")
             return self

@@ -110,7 +110,12 @@ class Replay:
             best, optimal = np.maximum(best, self.best[self.places]), self.optimal[self.places]
         else:
             optimal = self._optimal(self.current)
-        scores = np.stack([self._score(played, mean, best, optimal), best, optimal])
+        kinds: dict[str, Callable[[], np.ndarray]] = {
+            "regret": lambda: optimal - mean,
+            "max-monte-carlo": lambda: best - mean,
+            "positive-value-loss": lambda: positive_value_loss(played.advantage),
+        }
+        scores = np.stack([kinds[self.config.sampler.score](), best, optimal])
         if self.kind == REPLAY:
             self._put(self.places, self.current, scores)
         else:
@@ -198,17 +203,6 @@ class Replay:
         """Store levels [K] and their scores [3, K] at places of the buffer."""
         self.states[where], self.scores[:, where] = states, scores
         self.visited[where] = self.rollouts[REPLAY]
-
-    def _score(
-        self, played: Played, mean: np.ndarray, best: np.ndarray, optimal: np.ndarray
-    ) -> np.ndarray:
-        """Return the levels' scores [N], of the kind in the settings."""
-        kinds: dict[str, Callable[[], np.ndarray]] = {
-            "regret": lambda: optimal - mean,
-            "max-monte-carlo": lambda: best - mean,
-            "positive-value-loss": lambda: positive_value_loss(played.advantage),
-        }
-        return kinds[self.config.sampler.score]()
 
     def _optimal(self, states: np.ndarray) -> np.ndarray:
         """Return the optimal discounted return from each state [K]; 0 if it is not needed."""

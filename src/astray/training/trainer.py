@@ -81,7 +81,14 @@ class Trainer:
         )
         # The user's own names may be imported.
         own = is_own(config.network)
-        _check_pixels(config, self.player.images)
+        shown = self.player.images  # of a World they may be other arrays
+        is_image = shown.ndim == 4 and shown.dtype == torch.uint8
+        if config.observation == "image" and own and not is_image:
+            raise ValueError(
+                f"network {config.network!r} sees images [H, W, C] uint8; got {shown.dtype} of "
+                f"shape {tuple(shown.shape[1:])}: observation 'symbolic' makes vectors for the "
+                "network 'mlp'"
+            )
         build = network or (Architecture.build if own else imports.find(config.network, True))
         self._check_memory(build)
         with torch.random.fork_rng(devices=[]):
@@ -262,16 +269,6 @@ def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
     if config.sampler.kind == "uniform":
         return None
     return {"mixed": Mixed, "growing": Growing}.get(config.sampler.kind, Replay)(config)
-
-
-def _check_pixels(config: Config, shown: Tensor) -> None:
-    """Raise ValueError if a network of astray's own for images is to see a World's other arrays."""
-    is_image = shown.ndim == 4 and shown.dtype == torch.uint8
-    if config.observation == "image" and is_own(config.network) and not is_image:
-        raise ValueError(
-            f"network {config.network!r} sees images [H, W, C] uint8; got {shown.dtype} of shape "
-            f"{tuple(shown.shape[1:])}: observation 'symbolic' makes vectors for the network 'mlp'"
-        )
 
 
 def _check_divided(config: Config, memory: int) -> None:

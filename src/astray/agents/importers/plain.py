@@ -89,7 +89,7 @@ class _Name:
     path: str  # "module name"
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)  # it may hold shared tuples
 class Foreign:
     """An object of a class that is not imported: its name, and what the file says is in it."""
 
@@ -322,9 +322,10 @@ def _build(m: _Machine) -> None:
     if isinstance(built, Foreign):
         built.state = state
     elif m.storage and type(built) is dict:
-        m.spend(len(_of(dict, state)))  # what torch notes of a state's modules
+        if _of(dict, state).keys() - {"_metadata"}:  # a name could hide one of its methods
+            raise Refused("it has a dictionary with more than torch notes of a state's modules")
     elif isinstance(built, _Dtype):
-        built.order = state[1]
+        built.order = _of(str, state[1])
     elif isinstance(built, _Pending):
         m.stack[-1] = m.array(state)
         for number in built.numbers:

@@ -39,6 +39,7 @@ ONLY = {  # settings that are read with one value only
 }  # fmt: skip
 CELL, DENSE = "network_params/cell_list", "network_params/dense_list_0"
 DEEPEST = 20  # layers, and ticks
+MOST = 1000  # channels, and cells a side, which a file could promise without a number
 GATES = (1, 2, 0, 3)  # theirs are new, into, forget, out; ours into, forget, new, out
 WRONG = (ValueError, TypeError, AttributeError, IndexError, ArithmeticError, RuntimeError)
 
@@ -120,7 +121,8 @@ def _converted(net: dict[str, Any], left: dict[str, Tensor]) -> tuple[int, dict[
     """Return the cells a side, and the weights by our names; they are taken out of `left`."""
     channels = left[f"{CELL}_0/hh/kernel"].shape[2]
     dense, found = left.pop(f"{DENSE}/kernel"), {"features.linear.bias": left.pop(f"{DENSE}/bias")}
-    side = math.isqrt(len(dense) // channels)
+    bounded("channels", channels, 1, MOST)
+    bounded("cells a side", side := math.isqrt(len(dense) // channels), 1, MOST)
     for k in range(len(net["embed"])):
         at, here = f"network_params/conv_list_{k}", f"encoder.conv{k + 1}"
         found[f"{here}.weight"] = left.pop(f"{at}/kernel").permute(3, 2, 0, 1)
@@ -135,7 +137,9 @@ def _converted(net: dict[str, Any], left: dict[str, Tensor]) -> tuple[int, dict[
         kernel = _in_order(fence).sum(2, keepdim=True).permute(3, 2, 0, 1)
         plane = functional.pad(inside, (1, 1, 1, 1), value=1.0)
         found[f"{here}.gates.fence"] = functional.conv2d(plane, kernel)
-        weights = map(torch.diag, left.pop(f"{at}/project"))
+        if (project := left.pop(f"{at}/project")).shape != (2, channels):
+            raise ValueError(f"what it pools has the weights {tuple(project.shape)}")
+        weights = map(torch.diag, project)
         found[f"{here}.pooled.weight"] = torch.cat([*weights], 1)
         found[f"{here}.pooled.bias"] = torch.zeros(channels)
     flat = dense.reshape(side, side, channels, -1).permute(2, 0, 1, 3).flatten(0, 2).T

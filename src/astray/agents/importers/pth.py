@@ -141,8 +141,8 @@ def _checked(data: bytes) -> io.BytesIO:
             copy.writestr(f"archive/{part}", archive.read(f"{home}/{part}"))
         for key, size in asked.items():
             numbers = archive.read(f"{home}/data/{key}")
-            if len(numbers) < size:
-                raise ValueError("its weights are more than the file holds")
+            if len(numbers) < size or len({*map(str.lower, asked)}) < len(asked):
+                raise ValueError("its weights are more than the file holds, or have one name")
             copy.writestr(f"archive/data/{key}", numbers)
     return io.BytesIO(kept.getvalue())
 

@@ -17,8 +17,9 @@ from astray.agents.importers.archive import opened
 from astray.agents.importers.imported import Imported, impala, rename
 
 MARK = b"crllte.common.utils\nExportModel\n"  # with which its pickles begin, after two bytes
-FLOATS = "torch FloatStorage"
-DEEPEST, MOST = 8, 200  # modules in each other, and modules in all
+FLOATS, LITTLE = "torch FloatStorage", b"little"
+DEEPEST, MOST = 8, 200  # modules in each other, and modules and parameters in all
+LONGEST = 100  # characters of a name; those of the network have 10
 NAMES = (
     (r"^encoder\.trunk\.4\.", "features.linear."), (r"^actor\.actor\.", "policy."),
     (r"^encoder\.trunk\.([012])\.main\.", lambda m: f"block{int(m[1]) + 1}."),
@@ -54,13 +55,15 @@ def read(data: bytes) -> Imported:
 
 def _root(data: bytes) -> Any:
     with opened(data) as (archive, home, raw):
+        if (order := f"{home}/byteorder") in archive.namelist() and archive.read(order) != LITTLE:
+            raise ValueError("its numbers begin with their largest part, and are not read")
         # Once each: a pickle may ask for the same bytes any number of times.
         read = functools.cache(lambda key: archive.read(f"{home}/data/{key}"))
 
         def numbers(kind: str, key: str, count: int) -> np.ndarray:
             if kind != FLOATS:
                 raise ValueError("it keeps something other than numbers of 32 bits")
-            return np.frombuffer(read(key), "<f4")
+            return np.frombuffer(read(key), "<f4", count)
 
         return plain.read(raw, numbers)
 
@@ -70,20 +73,22 @@ def _parameters(root: Any) -> Iterator[tuple[str, np.ndarray]]:
     left, todo = MOST, [("", root, 0)]
     while todo:
         path, module, depth = todo.pop()
-        left -= 1
         state = module.state if isinstance(module, plain.Foreign) else None
-        if not isinstance(state, dict) or depth > DEEPEST or left < 0:
-            raise ValueError(f"{path or 'it'} is not a module, or there are too many")
+        if not isinstance(state, dict) or depth > DEEPEST:
+            raise ValueError(f"{path or 'it'} is not a module, or in too many others")
+        own, inner = _dict(state, "_parameters"), _dict(state, "_modules")
+        if (left := left - len(own) - len(inner)) < 0:
+            raise ValueError(f"it has more than {MOST} modules and parameters")
         if path.endswith(".relu.") and state.get("inplace") is not True:
             raise ValueError(f"{path[:-1]} does not work in place, as that of its network does")
-        for name, value in _dict(state, "_parameters").items():
+        for name, value in own.items():
             if isinstance(value, np.ndarray):
                 yield f"{path}{name}", value
-        todo += [(f"{path}{n}.", m, depth + 1) for n, m in _dict(state, "_modules").items()]
+        todo += [(f"{path}{name}.", module, depth + 1) for name, module in inner.items()]
 
 
 def _dict(state: dict[Any, Any], name: str) -> dict[Any, Any]:
     found = state.get(name)
-    if not isinstance(found, dict):
-        raise ValueError(f"one of its modules has no {name}")
+    if not isinstance(found, dict) or any(len(str(one)) > LONGEST for one in found):
+        raise ValueError(f"one of its modules has no {name}, or a long name")
     return found
