@@ -98,7 +98,7 @@ def test_a_misspelt_word_is_no_other_word(misspelt):
 @pytest.mark.parametrize(
     "wrong, message",
     [
-        (lambda: Options(beta=float("nan")), "number from 1 to 1e+08; got nan"),
+        (lambda: Options(beta=float("nan")), "number from 1 to 1e.08; got nan"),
         (lambda: Options(legal="no"), "legal must be a bool; got 'no'"),
         (lambda: Options(observations=("type", "type")), "each is given once"),
         (lambda: measure_online(WALK, switch="1/t"), r"not '1/\(t\+1\)', must be a finite number"),

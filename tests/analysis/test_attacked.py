@@ -305,7 +305,7 @@ def reset(**options):
         (lambda: evaluate(Random(), "maze", "corner-small", [np.True_, 3]), "levels must be int"),
         (lambda: ROOM.walk((0, 0), [1.5]), "an action must be an integer from 0 to 3; got 1.5"),
         (lambda: measure.measure([1]), "an episode must be a Episode; got 1"),
-        (lambda: measure.Options(beta="x"), "number from 1 to 1e+08; got 'x'"),
+        (lambda: measure.Options(beta="x"), "number from 1 to 1e.08; got 'x'"),
         (lambda: train({}, "run"), "config must be a Config; got {}"),
         (
             lambda: evaluate_policies([Function(len)], "maze", "corner-small", {1, 2}),

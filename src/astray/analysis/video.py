@@ -69,8 +69,7 @@ def play(
         played, frames = _rendered(policy, game, game.variant(variant), level, pixels, longest)
     else:
         chosen = {"": level} if isinstance(level, Level) else [level]
-        game = games.find(game)
-        variant = game.variant(variant)  # pyright: ignore[reportArgumentType]
+        variant = (game := games.find(game)).variant(variant)  # pyright: ignore
         game.drawn(policy.art, variant)  # told before the work: who sees symbols is drawn, too
         played = [*_fitting(steps(policy, game, variant, chosen, longest=longest), pixels)]
         frames = np.zeros(0)
