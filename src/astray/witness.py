@@ -79,8 +79,8 @@ class Witness(gymnasium.Wrapper):
             self._check_seen(seen)
         if type(info) is not dict:
             self._check_info(info)
-        told = self._happens(info) or ended or self.time == self.longest
-        if told or self._every_step:
+        last = ended or self.time in (1, self.longest)  # 1: `until` may name an event of the reset
+        if self._happens(info) or last or self._every_step:
             info = {**info, NOTED: self._told()}
         try:
             if isfinite(reward):

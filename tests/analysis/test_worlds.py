@@ -355,6 +355,12 @@ def test_the_end_of_all_processes_at_once_is_no_other_error(monkeypatch):
     assert not multiprocessing.active_children()
 
 
+def test_an_episode_that_an_event_of_its_reset_ends_has_the_measures_of_its_step():
+    world = replace(WORLD, events={**WORLD.events, "begun": lambda env, info: True})
+    table = evaluate(RIGHT, world, "anywhere", LEVELS, until=["begun"])
+    assert set(table["length"]) == set(table["walked"]) == {1} and set(table["begun"]) == {0}
+
+
 def test_an_episode_without_end_is_left_after_the_longest(monkeypatch):
     left = Function(lambda seen: np.zeros(len(seen), int), "left")
     table = evaluate(left, troubled("endless"), "end", LEVELS, longest=30)

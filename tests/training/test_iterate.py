@@ -1,6 +1,7 @@
 """The training as a generator: what is looked at on the way changes nothing that is learned."""
 
 import contextlib
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ import astray
 from astray.analysis.adapters import from_trainer
 from astray.training import checkpoint
 from astray.training.loop import train
+from helpers.processes import environment
 from helpers.trainings import OFF, TINY, digest, train_to_first_checkpoint
 
 LEVELS = range(200_000, 200_030)
@@ -58,6 +60,31 @@ def test_who_leaves_the_loop_goes_on_from_there(tmp_path):
     assert [i.number for i in astray.iterate(TINY, tmp_path / "run")] == [4]
     train(TINY, tmp_path / "plain", progress=False)
     assert digest(tmp_path / "run") == digest(tmp_path / "plain")
+
+
+KEPT = """
+import sys
+import astray
+from helpers.trainings import TINY
+
+def look(iterations):
+    for iteration in iterations:
+        if iteration.number == 3:
+            raise KeyError("mine") if sys.argv[2:] else SystemExit(0)
+
+iterations = astray.iterate(TINY, sys.argv[1])
+look(iterations)
+"""
+
+
+@pytest.mark.parametrize("error", [[], ["error"]])
+def test_a_program_that_still_holds_the_loop_when_it_ends_has_a_checkpoint_too(tmp_path, error):
+    """Python ended the generator after torch was half gone: it aborted, and nothing was saved."""
+    command = [sys.executable, "-c", KEPT, str(tmp_path / "run"), *error]
+    ended = subprocess.run(command, env=environment(), capture_output=True, text=True)
+    assert ended.returncode == len(error), ended.stderr
+    assert not error or ended.stderr.endswith("KeyError: 'mine'\n")
+    assert checkpoint.steps_saved(tmp_path / "run") == [512, 768]
 
 
 def test_the_run_folder_is_free_again_once_the_loop_is_left(tmp_path):

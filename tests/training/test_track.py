@@ -113,6 +113,9 @@ def test_a_tracker_that_is_missing_is_told_before_the_work(study, tmp_path, monk
 def test_an_unknown_tracker_is_told(tmp_path):
     with pytest.raises(ValueError, match="unknown tracker 'mlflow'; there are: wandb, trackio"):
         track.Tracker("mlflow", "name", tmp_path, {})
+    iterations = (pytest.fail("it trains") for _ in range(1))
+    with pytest.raises(ValueError, match="unknown tracker 'mlflow'"):
+        next(track.tracked(iterations, "mlflow", CONFIG, tmp_path))  # pyright: ignore
 
 
 COMMAND = [

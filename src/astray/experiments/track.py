@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 
 from astray.acting import check_ending
 from astray.analysis.outcomes import load_shift
@@ -33,7 +32,7 @@ def track_outcomes(run: Path, by: Tracking, levels: int = LEVELS) -> None:
     write_video(agent, config, between, result.episodes, run / VIDEO)
     tracker = Tracker(by, label(config), run, config.to_json())
     tracker.video(steps, "video", run / VIDEO)
-    _table(tracker, steps, "outcomes", result.rates)
+    tracker.table(steps, "outcomes", result.rates.columns, result.rates.rows())
     mine = result.rates.filter(policy=result.agents[0], levels_played="all")
     tracker.log(steps, {f"outcome/{row['outcome']}": row["mean"] for row in mine.to_dicts()})
     tracker.finish()
@@ -43,18 +42,12 @@ def track_report(heading: Heading, findings: Findings, folder: Path, by: Trackin
     """Report a folder's report to a tracker: claims, tables, figures, videos."""
     settings = {"answer": findings.answer, **vars(heading), **findings.settings}
     tracker = Tracker(by, f"{heading.name}-{heading.size}", folder, settings)
-    claims = [
-        [claim.sentence, claim.paper, claim.ours, claim.supported] for claim in findings.claims
-    ]
+    claims = [[one.sentence, one.paper, one.ours, one.supported] for one in findings.claims]
     tracker.table(0, "claims", ("claim", "paper", "ours", "supported"), claims)
     for table in findings.tables:
-        _table(tracker, 0, f"tables/{table.name}", table.frame)
+        tracker.table(0, f"tables/{table.name}", table.frame.columns, table.frame.rows())
     for plot in findings.plots:
         tracker.picture(0, f"figures/{plot.name}", folder / "figures" / f"{plot.name}.png")
     for video in findings.videos:
         tracker.video(0, f"videos/{video.path.stem}", video.path)
     tracker.finish()
-
-
-def _table(tracker: Tracker, steps: int, name: str, frame: pl.DataFrame) -> None:
-    tracker.table(steps, name, frame.columns, frame.rows())

@@ -4,14 +4,16 @@ This file is plain torch. `training.fast` is an accelerated equivalent, which a 
 it supports the network and the loss.
 """
 
+import atexit
 import contextlib
 import functools
 import math
 import time
+import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -38,6 +40,7 @@ SPARE = 16  # threads that libraries may start
 # Most consecutive rollouts that are only scored: if 0.01 of them are learned from, longer runs
 # practically never happen.
 SCORED = 2000
+Of = TypeVar("Of", bound=Callable[..., Any])
 
 
 def train(
@@ -105,6 +108,19 @@ class Iteration:
     trainer: Trainer
 
 
+def closed_at_exit(function: Of) -> Of:
+    """Close generators of a function before Python takes itself apart: then they cannot save."""
+
+    @functools.wraps(function)
+    def begun(*given: Any, **named: Any) -> Any:
+        running = weakref.ref(found := function(*given, **named))
+        atexit.register(lambda: (one := running()) and one.close())
+        return found
+
+    return begun  # pyright: ignore[reportReturnType]
+
+
+@closed_at_exit
 def iterate(
     config: Config,
     folder: str | Path | None = None,
@@ -140,7 +156,9 @@ def iterate(
         parallel.processes(config.device),
         checkpoint.claim(folder, config, wait) if folder else contextlib.nullcontext(),
         contextlib.closing(begin(config, folder, network, loss, sampler, reward)) as trainer,
-        written(folder, trainer, progress) as log,
+        Log(folder, trainer.steps, config, progress)
+        if folder and parallel.first()
+        else contextlib.nullcontext() as log,
     ):
         saved = trainer.iteration
         try:
@@ -204,21 +222,11 @@ def begin(
             if folder:
                 checkpoint.restore(folder, trainer)
             if config.start is not None and not trainer.steps:
-                path = folder / START if folder else None
-                if path is None or not path.exists():
-                    path = AgentFolder.open(config.start).weights
+                kept = folder / START if folder else None
+                path = kept if kept and kept.exists() else AgentFolder.open(config.start).weights
                 policy.load_into(trainer.network, path, config.game, trainer.architecture)
             stack.pop_all()
     return trainer
-
-
-def written(
-    folder: Path | None, trainer: Trainer, progress: bool
-) -> contextlib.AbstractContextManager[Log | None]:
-    """Return the log of the run folder; a null context without a folder or in other processes."""
-    if folder is None or not parallel.first():
-        return contextlib.nullcontext()
-    return Log(folder, trainer.steps, trainer.config, progress)
 
 
 def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:

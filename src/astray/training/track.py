@@ -103,8 +103,6 @@ def train_tracked(
 ) -> Path:
     """Train as `loop.train` does, with a tracker; return the last checkpoint."""
     told = track if parallel.first() else None
-    if told:
-        check_installed(told)
     iterations = iterate(config, folder, progress=progress, wait=wait)
     for _ in tracked(iterations, told, config, folder) if told else iterations:
         pass
@@ -116,6 +114,7 @@ def tracked(
 ) -> Iterator[Iteration]:
     """Yield the iterations of a training and log each with a tracker."""
     tracker = None
+    check_installed(by)
     try:
         for iteration in iterations:
             if tracker is None:  # only now is the folder known to be this run's
