@@ -5,9 +5,11 @@ import re
 import subprocess
 import sys
 import tomllib
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.specifiers import SpecifierSet
 
 import astray
 from astray import games, imports
@@ -56,6 +58,17 @@ def test_wheels_are_tried_on_every_python_that_is_promised():
     ]
     assert wheel["strategy"]["matrix"]["python"] == promised
     assert len(wheel["strategy"]["matrix"]["system"]) == 3
+
+
+def test_what_is_installed_takes_the_first_python_that_is_promised():
+    """Debian 12 has Python 3.11.2; a library of `constraints.txt` demanded 3.11.5."""
+    first = f"{PROJECT['project']['requires-python'].removeprefix('>=')}.0"
+    needs = {its.name: its.metadata["Requires-Python"] for its in metadata.distributions()}
+    assert {
+        name: python
+        for name, python in needs.items()
+        if python and not SpecifierSet(python).contains(first)
+    } == {}
 
 
 def test_publishing_needs_the_tests_and_no_token():
