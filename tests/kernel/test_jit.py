@@ -69,12 +69,12 @@ def test_an_edit_is_another_digest(module, tmp_path):
     assert digest_with(module.step_one) != before
 
 
-@pytest.mark.parametrize("edit", [("return 1", "return 3"), ("s.cells", "s.floor")])
+@pytest.mark.parametrize("edit", [("return 1000", "return 3000"), ("s.cells", "s.floor")])
 def test_code_from_before_an_edit_is_not_taken_for_what_the_file_says_by_now(
     edit, tmp_path, monkeypatch
 ):
     file = tmp_path / "of_edits.py"
-    file.write_text("def step(s):\n    if s.cells: return 1\n    return 2\n")
+    file.write_text("def step(s):\n    if s.cells: return 1000\n    return 2\n")
     monkeypatch.syspath_prepend(tmp_path)
     before = importlib.import_module("of_edits").step
     file.write_text(file.read_text().replace(*edit) + "# and longer, so that Python sees it\n")
