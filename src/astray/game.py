@@ -9,19 +9,9 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
+from astray import protocols
 from astray.imports import guarded
 from astray.outcome import check_ends
-from astray.protocols import (
-    Cells,
-    Editing,
-    Levels,
-    Mutating,
-    Places,
-    Rules,
-    Solver,
-    Sprites,
-    Symbols,
-)
 from astray.record import check_states
 from astray.validation import check_words, finite, of_kind, one_of, shown
 from astray.variant import Variant as Variant
@@ -34,8 +24,9 @@ ABILITIES = (
     "symbols", "editing", "solver", "mutation", "places", "cells", "sprites", "benchmark"
 )  # fmt: skip
 PARTS = {
-    "rules": Rules, "levels": Levels, "symbols": Symbols, "editing": Editing, "solver": Solver,
-    "mutation": Mutating, "places": Places, "cells": Cells, "sprites": Sprites,
+    "rules": protocols.Rules, "levels": protocols.Levels, "symbols": protocols.Symbols,
+    "editing": protocols.Editing, "solver": protocols.Solver, "mutation": protocols.Mutating,
+    "places": protocols.Places, "cells": protocols.Cells, "sprites": protocols.Sprites,
 }  # fmt: skip
 
 
@@ -190,20 +181,20 @@ class Game:
 
     name: str
     about: str
-    rules: Rules
-    levels: Levels
+    rules: protocols.Rules
+    levels: protocols.Levels
     looks: Mapping[str, Looks]  # by name of the art; OWN is required
     variants: Mapping[str, Any]  # name -> a `Variant`, all of one class
     goals: Mapping[str, Outcome]  # goal -> its event, or its condition at the end
     shifts: Mapping[str, Shift]
 
-    symbols: Symbols = None  # pyright: ignore
-    editing: Editing = None  # pyright: ignore
-    solver: Solver = None  # pyright: ignore
-    mutation: Mutating = None  # pyright: ignore
-    places: Places = None  # pyright: ignore
-    cells: Cells = None  # pyright: ignore
-    sprites: Sprites = None  # pyright: ignore
+    symbols: protocols.Symbols = None  # pyright: ignore
+    editing: protocols.Editing = None  # pyright: ignore
+    solver: protocols.Solver = None  # pyright: ignore
+    mutation: protocols.Mutating = None  # pyright: ignore
+    places: protocols.Places = None  # pyright: ignore
+    cells: protocols.Cells = None  # pyright: ignore
+    sprites: protocols.Sprites = None  # pyright: ignore
     benchmark: Benchmark = None  # pyright: ignore
     ends: Mapping[str, Outcome] = field(default_factory=dict)  # neither goals nor proxies,
     # for instance "died": labels of episodes that reached no goal, instead of failure

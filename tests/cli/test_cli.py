@@ -176,6 +176,9 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
         ("level maze corner --set region=5", "need placement 'region'"),
         ("train maze corner --seed x", "--seed cannot be read: invalid literal for int() with"),
         ("train maze corner --gamma x", "--gamma cannot be read: could not convert string to"),
+        ("audit maze-corner --num-levels 0", "--num-levels must be an integer from 1 to"),
+        ("train maze corner --num-levels 0", "--num-levels must be from 1 to 2147483647; got 0"),
+        ("train maze corner --edits 0", "astray: edits must be from 1 to 10000; got 0"),
         ("train maze corner --seeds 0", "seeds must be an integer from 1 to 134217728; got 0"),
         (
             "train maze corner --fraction 0.5",

@@ -167,6 +167,12 @@ REFUSED = {
     "x = s.row + 1\n return x[0]": r"knows no 's.row \+ 1'",
     "x = np.empty(2)\n x += 1\n return x[0]": r"knows no 'x \+ 1'",
     "x = -s.b\n return x[0]": "knows no '-s.b'",
+    "return (s.b == s.b)[0]": "knows no 's.b == s.b'",
+    "return -s.u": "knows no '-s.u'",  # which compiled code wraps
+    "s.a, s.u = pair(s)": r"knows no '\(s.a, s.u\)'",
+    "return np.full((2, 2), s.a)[0, 0]": r"knows no 'np.full\(\(2, 2\), s.a\)'",  # of which type?
+    "return np.uint64(7) / np.uint64(2)": r"knows no 'np.uint64\(7\) / np.uint64\(2\)'",
+    "return max(np.uint64(7), np.uint64(2))": r"knows no 'max\(np.uint64\(7\), np.uint64\(2\)\)'",
 }
 
 
@@ -184,6 +190,7 @@ import numpy as np
 
 TABLE, NAMES, catch_ = (4, 5), ["a"], 9
 BIG = 1, 2**60
+REALS, REAL = np.array([0.1, 0.7], np.float32), (np.float32(0.1), 3)
 
 class Kind(IntEnum):
     WALL = 5
@@ -200,6 +207,12 @@ def game(s):
 def pair(s):
     return s.a, s.a
 
+def put(rows, what):
+    rows[1] = what
+
+def swap(x, y):
+    return y, x
+
 def third(x):
     return x / np.float32(3)
 
@@ -208,8 +221,9 @@ def asks(s):
 
 
 FIELDS = np.dtype(
-    [("a", int), ("t", bool), ("u", np.uint8), ("i", np.int16), ("row", np.uint8, 3), ("b", int, 3)]
-)
+    [("a", int), ("t", bool), ("u", np.uint8), ("i", np.int16), ("row", np.uint8, 3), ("b", int, 3),
+     ("f", np.float32), ("c", np.float32, 3)]
+)  # fmt: skip
 
 
 def translated(folder, body):
@@ -266,6 +280,23 @@ OF_COMPILED = {  # what integers of few bits are there; interpreted ones are ref
     "s.u -= 1\n s.row[1] = 257\n return s.u + 1000 * s.row[1]": 1255,
     "s.row[:] = s.b\n return s.row[0] + 10 * s.row[2]": 97,
     "s.b[:] = s.a - 4\n return s.b[0] + 10 * s.b[2]": -44,
+    "s.row[:] = 257\n s.b[:] = 2.9\n return s.row[0] + 10 * s.b[2]": 21,
+    "s.b[1] = -1\n s.row[:] = s.b\n return s.row[1]": 255,
+    "put(s.row, 257)\n put(s.b, 2.9)\n return s.row[1] + 10 * s.b[1]": 21,
+    "x, y = s.b, swap(s.row, 3)[1]\n x[0], y[0] = 2.9, 257\n return s.row[0] + 10 * s.b[0]": 21,
+    "x = np.full((1, 2), 2.9, np.int64)\n y = x[0]\n y[1] = 1.5\n return x[0, 0] + 9 * y[1]": 11,
+    # of 32 bits
+    "put(s.c, 0.1)\n return s.c[1]": 0.10000000149011612,
+    "s.c[:] = 0.1\n return s.c[2]": 0.10000000149011612,
+    "return s.c[0] * s.f": 0.030000001192092896,
+    "x = np.full((1, 2), s.f)\n return x[0, 0] * x[0, 1]": 0.09000000357627869,
+    "return (s.f + (s.a == 0)) * s.f": 0.39000001549720764,
+    "s.u = 3\n return (s.f + s.u) * s.f": 0.9900000095367432,
+    "s.u = 3\n return np.sqrt(s.u) + max(s.f, s.u) / s.f": 11.732050895690918,
+    "x, y = (s.f, s.a), swap(s.c[0], s.f)\n return x[0] * x[0] + y[0] * y[1]": 0.12000000476837158,
+    "return REALS[0] * REALS[1]": 0.07000000029802322,
+    "return REAL[0] * s.f": 0.030000001192092896,
+    "return (s.f or s.c[1]) * s.c[0]": 0.030000001192092896,
 }
 
 
@@ -274,7 +305,22 @@ def test_a_field_holds_what_it_does_in_compiled_code(chrome, static, exported, t
     assert called(chrome, static, exported, tmp_path, body) == OF_COMPILED[body]
 
 
-@pytest.mark.parametrize("body", ["s.a = 3000000000\n return s.a * s.a", "return 1 << (s.a + 60)"])
+def test_a_page_copies_what_kernels_may_write_to_by_another_name(tmp_path):
+    for body in ("put(s.row, 1)", "x = s.row\n x[1] = 1", "return s.a, s.row"):
+        (tmp_path / "kernels.py").write_text(KERNELS + body + "\n")
+        made = translate.Translation({name: FIELDS[name] for name in FIELDS.names})
+        made.name(runpy.run_path(str(tmp_path / "kernels.py"))["asks"])
+        assert "row" in made.stored, body
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "s.a = 3000000000\n return s.a * s.a",
+        "return 1 << (s.a + 60)",
+        "s.u = 1\n return s.row[0] - s.u",  # without a sign
+    ],
+)
 def test_an_integer_that_a_page_would_round_is_told(chrome, static, exported, tmp_path, body):
     with pytest.raises(Exception, match=r"an integer above 2 \*\* 53, which needs Python"):
         called(chrome, static, exported, tmp_path, body)
@@ -289,6 +335,7 @@ def called(chrome, static, exported, tmp_path, body):
         return page.evaluate(
             """async () => {
               const { asks } = await import(new URL("rules/asks.js", location.href));
-              return asks({ a: 0, t: false, u: 0, i: 0, row: [0, 0, 0], b: [7, 8, 9] });
+              const [f, ...c] = [0.3, 0.1, 0.2, 0.7].map(Math.fround);
+              return asks({ a: 0, t: false, u: 0, i: 0, row: [0, 0, 0], b: [7, 8, 9], f, c });
             }"""
         )

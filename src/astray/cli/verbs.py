@@ -51,8 +51,6 @@ VERBS = {
     "agents": "published:agents",
     "bench": "experiments:bench",
 }
-
-
 # Earlier names of options, which scripts may have.
 EARLIER = {"--folder": "--out", "--numbers": "--levels", "--others": "--num-levels"}
 # Settings have no prefixes, positional arguments have names, and nobody types None.
@@ -145,8 +143,9 @@ def _mistake(call: Callable[..., Any], given: list[str], refused: str) -> str:
         return f"unknown word {found[1].removeprefix('For full helptext')!r}; {usage}"
     if found := re.search(r"Error parsing (\S+): no type matching (\S+) .*?\[(.*?)\]", refused):
         return f"{found[1]} must be {found[2]}; got {found[3]}"
-    if found := re.search(r"Error parsing (\S+): (.*?) Argument helptext", refused):
-        return f"{found[1]} cannot be read: {found[2]}"
+    if found := re.search(r"Error parsing (\S+): (.*?) (?:Argument|For full) helptext", refused):
+        is_whole = found[1].startswith("settings.")  # a sentence that names the option
+        return found[2] if is_whole else f"{found[1]} cannot be read: {found[2]}"
     if found := re.search(r"Missing value for argument '(--.*?)'", refused):
         return f"{found[1]} needs a value"
     there = re.sub(r"(?s).*Example: (.*?)(\n.*)?", r"as in \1", call.__doc__ or "")
@@ -160,10 +159,11 @@ def _mistake(call: Callable[..., Any], given: list[str], refused: str) -> str:
 def _told(has_longest: bool) -> Iterator[None]:
     """Write on standard error how many levels have been played, every few seconds.
 
-    There and in errors, the argument `longest` is called --longest if the verb has that option.
+    In errors, too, `longest` is --longest if the verb has it; a count of levels is --num-levels.
     """
 
     def named(text: str) -> str:
+        text = re.sub("^levels(?= must be (an integer )?from)", "--num-levels", text)
         return text.replace("`longest`", "--longest") if has_longest else text
 
     log, handler = logging.getLogger("astray.acting"), logging.StreamHandler()

@@ -24,7 +24,7 @@ from astray.experiments.connection import Wary, reached, unreachable, wary
 from astray.experiments.keep import keep
 from astray.files import holds_only, read, write_aside
 from astray.training import folders
-from astray.training.folders import CARD, CONFIG, HUB, AgentFolder
+from astray.training.folders import CARD, CONFIG, HUB, ORIGIN, AgentFolder
 from astray.validation import brief, of_kind, shown, slug
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def push(
             f"{repository} cannot be pushed: there is no token; see hf auth login, or HF_TOKEN"
         )
     its = AgentFolder.open(run)
-    if its.is_foreign:
+    if (its.path / ORIGIN).exists() or (its.path / HUB).exists():  # imported or pulled
         raise ValueError(
             f"{its.path} was brought from elsewhere; only agents of your own are pushed"
         )

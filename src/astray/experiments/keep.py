@@ -21,18 +21,8 @@ from astray.experiments import catalogue
 from astray.experiments.spec import name_of_run
 from astray.experiments.videos import write_video
 from astray.files import write_aside
-from astray.training import checkpoint
+from astray.training import checkpoint, folders
 from astray.training.config import Config
-from astray.training.folders import (
-    AGENT,
-    CARD,
-    CONFIG,
-    DEVIATION,
-    PRETRAINED,
-    AgentFolder,
-    check_new,
-    made,
-)
 from astray.training.log import METRICS
 from astray.validation import path_of
 
@@ -45,7 +35,7 @@ def keep(
     name: str,
     *,
     shift: str | None = None,
-    folder: Path = PRETRAINED,
+    folder: Path = folders.PRETRAINED,
     levels: int = 1000,
     largest: int = LARGEST,
 ) -> Path:
@@ -61,24 +51,24 @@ def keep(
             metrics of its training, as of an agent that was kept.
     """
     folder = path_of("folder", folder)
-    check_new(name, folder)
+    folders.check_new(name, folder)
     agent, config = open_run(run)
     if (size := agent.path.stat().st_size) > largest:
         raise ValueError(
             f"the agent is {size / 1e6:.1f} MB; a pretrained one is at most {largest / 1e6:g} MB"
         )
-    source = AgentFolder.of(agent.path)
+    source = folders.AgentFolder.of(agent.path)
     named = shift_of(config) if shift is None else shift
     if not (source.path / METRICS).exists():
         raise ValueError(f"{run} cannot be kept: it has no {METRICS}, for its curve")
-    with made(folder, name) as aside:
+    with folders.made(folder, name) as aside:
         there = aside / "checkpoints" / f"{source.steps}"
         there.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(agent.path, there / AGENT)
+        shutil.copyfile(agent.path, there / folders.AGENT)
         settings = source.noted()
         if (deviation := source.deviation()) is not None:
-            settings[DEVIATION] = deviation
-        write_aside(aside / CONFIG, json.dumps(settings, indent=2).encode())
+            settings[folders.DEVIATION] = deviation
+        write_aside(aside / folders.CONFIG, json.dumps(settings, indent=2).encode())
         draw_curve(source.path, config, source.steps, aside)
         write_card(name, aside, named, levels)
     return folder / name
@@ -127,7 +117,7 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
         name=name,
         about=game.about,
         config=config,
-        steps=AgentFolder.of(agent.path).steps,
+        steps=folders.AgentFolder.of(agent.path).steps,
         trained_on=config.training_variant().about,
         commands=commands(config),
         shift=shift,
@@ -139,7 +129,7 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
         ],
         settings=config.flat(),
     )
-    write_aside(run / CARD, text.encode())
+    write_aside(run / folders.CARD, text.encode())
 
 
 def commands(config: Config) -> list[str]:

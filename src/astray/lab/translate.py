@@ -6,11 +6,12 @@ Python are rounded to them after each operation, and integers without a sign are
 
 import ast
 import builtins
+import functools
 import inspect
 import json
 import re
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -26,10 +27,9 @@ BUILT_IN: dict[Any, str] = {
     np.sign: "Math.sign", np.int64: "Math.trunc", np.floor: "Math.floor", np.ceil: "Math.ceil",
     np.sqrt: "Math.sqrt", np.float32: "Math.fround", np.float64: "Number", np.uint64: "wide",
 }  # fmt: skip
-SINGLE, WIDE = "single", "wide"  # a real of 32 bits; an integer of 64 without a sign
-CASTS = {
-    np.float32: SINGLE, np.uint64: WIDE, int: "", bool: "", np.int64: "", np.float64: "",
-}  # fmt: skip
+SINGLE, WIDE = "float32", "uint64"  # kinds of numbers; the latter are BigInt
+NATURAL = {"uint8", "uint16", "uint32"}  # which stay without a sign; the last are of 64 bits, too
+TINY = {"bool", "int8", "int16", "uint8"}  # that make no real of 64 bits of one of 32
 SIGNS: dict[type, str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=",
     ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.USub: "-", ast.UAdd: "+",
@@ -41,13 +41,14 @@ CALLS: dict[type, str] = {  # by the page's functions; JavaScript's own bits are
 }  # fmt: skip
 WHOLE: dict[type, str] = SIGNS | {  # between integers of 64 bits
     ast.FloorDiv: "/", ast.Mod: "%", ast.BitOr: "|", ast.BitAnd: "&", ast.BitXor: "^",
-    ast.LShift: "<<", ast.RShift: ">>",
+    ast.LShift: "<<", ast.RShift: ">>", ast.Div: "",
 }  # fmt: skip
 NUMPY = np.ndarray | np.generic
-Kind = str | tuple[str, ...]  # of a value, or of each part of one: SINGLE, WIDE, or "" for others
+# Of a number (its type's name, or "" for others), of each part of a tuple, or of an array.
+Kind = str | tuple["Kind", ...] | np.dtype
 # Of `page/rules/python.js`:
-NAMES = ["and", "exact", "fill", "from", "isIn", "kept", "or", "same", "where", "wide", "yes"]
-NAMES.extend(CALLS.values())
+NAMES = ["and", "exact", "fill", "from", "isIn", "kept", "natural", "or", "same", "where", "wide"]
+NAMES.extend(["yes", *CALLS.values()])
 PERHAPS_TUPLE = re.compile(r"[A-Za-z_]\w*(\(|$)")  # a name or a call
 LONG = re.compile(r"(?<![\d.])\d{16,}(?![\d.e])")  # integers of a page are exact up to 2 ** 53
 WORDS = frozenset(  # that mean something else in a module of JavaScript, and those of ours
@@ -75,7 +76,7 @@ class Translation:
         lines = [*self.constants.values(), *self.functions, *ends]
         return "\n".join([f"// {about}, translated from Python.", imported, *lines, ""])
 
-    def name(self, kernel: Callable, kinds: tuple[str, ...] = ()) -> str:
+    def name(self, kernel: Callable, kinds: tuple[Kind, ...] = ()) -> str:
         """Return the JavaScript name of a function, which is translated at its first use.
 
         Args:
@@ -114,12 +115,11 @@ class Translation:
 class _Function:
     """Translation of one function; `of` and `_statement` have a case for each kind of syntax."""
 
-    def __init__(self, made: Translation, function: Any, name: str, kinds: tuple[str, ...]):
+    def __init__(self, made: Translation, function: Any, name: str, kinds: tuple[Kind, ...]):
         self.made, self.function, self.name = made, function, name
         (self.tree,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
         self.arguments = [arg.arg for arg in self.tree.args.args]  # pyright: ignore
         self.kinds: dict[str, Kind] = dict(zip(self.arguments, kinds, strict=False))
-        self.arrays: dict[str, np.dtype] = {}  # of local variables
         self.returned: Kind | None = None
 
     def text(self) -> str:
@@ -146,15 +146,17 @@ class _Function:
                 yield f"{self.of(value)};"
             case ast.Return(value=value):
                 yield f"return {self.of(value) if value else ''};"
-                kind = self._kind(value)
-                if self.returned not in (None, kind):
-                    raise self._unknown(node)
-                self.returned = kind
+                kind = self._lent(value)
+                self.returned = self._joined(
+                    kind if self.returned is None else self.returned, kind, node
+                )
             case ast.Break():
                 yield "break;"
             case ast.Continue():
                 yield "continue;"
-            case ast.Assign([ast.Tuple(targets)], ast.Tuple(values)) if _fills(targets, values):
+            case ast.Assign([ast.Tuple(targets)], ast.Tuple(values)) if any(
+                isinstance(getattr(target, "slice", None), ast.Slice) for target in targets
+            ) and not any(isinstance(part, ast.Attribute) for part in ast.walk(node.value)):
                 for target, value in zip(targets, values, strict=True):
                     yield from self._statement(ast.Assign([target], value))
             case ast.Assign([ast.Tuple(targets) as names], ast.Attribute(_, "shape") as shape):
@@ -163,13 +165,10 @@ class _Function:
             case ast.Raise(exc=ast.Call(args=[ast.Constant(str(text))])):
                 yield f"throw new Error({json.dumps(text)});"
             case ast.Assign([ast.Subscript(whole, ast.Slice(None, None, None))], value):
-                self._store(whole)
-                yield f"fill({self.of(whole)}, {self.of(value)});"
+                yield f"{self._filled(whole, value)};"
             case ast.Assign(targets=[target], value=value):
                 yield f"{self.of(target)} = {self._stored(target, value)};"
-                self._learn(target, self._kind(value), node)
-                if isinstance(target, ast.Name) and (made := self._array(value)):
-                    self.arrays[target.id] = made
+                self._learn(target, self._lent(value), node)
             case ast.AugAssign(target=target, op=op, value=value) if not _calls(target):
                 whole = ast.BinOp(target, op, value)
                 yield f"{self.of(target)} = {self._stored(target, whole)};"
@@ -181,7 +180,7 @@ class _Function:
                 yield f"while (yes({self.of(test)})) {{"
                 yield from [*self._block(body), "}"]
             case ast.For(ast.Name(id=name), ast.Tuple() as several, body, []):
-                self._learn(ast.Name(name), self._part(several.elts[0]), node)
+                self._learn(ast.Name(name), self._kind(several.elts[0]), node)
                 yield f"for ({_word(name)} of {self.of(several)}) {{"
                 yield from [*self._block(body), "}"]
             case ast.For(ast.Name(id=name), ast.Call(ast.Name("range"), args), body, []):
@@ -203,94 +202,122 @@ class _Function:
         if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
             pairs = zip(target.elts, value.elts, strict=True)
             return f"[{', '.join(self._stored(*pair) for pair in pairs)}]"
+        text = self.of(value)
+        if not any(isinstance(part, ast.Attribute | ast.Subscript) for part in ast.walk(target)):
+            return text
         self._store(target)
-        field = None if isinstance(target, ast.Name) else self._field(target)
-        kind, text = self._kind(value), self.of(value)
-        if field and field.shape:  # pages have rows of rows
+        field = None if isinstance(target, ast.Tuple) else self._field(target)
+        if isinstance(target, ast.Tuple) or (field and field.shape):  # pages have rows of rows
             raise self._unknown(target)
-        if field == np.float32 and kind != SINGLE:
-            return f"Math.fround({text})"
-        if field and field.kind in "iu" and field.itemsize < 8 and kind != WIDE:
-            return f"kept({text}, {field.itemsize * (8 if field.kind == 'u' else -8)})"
-        casts = {"i": "Math.trunc", "u": "Math.trunc", "b": "Boolean", "f": "Number"}
-        cast = "" if field is None else "Number" if kind == WIDE else casts.get(field.kind, "")
-        return f"{cast}({text})"
+        return _cast(field, self._part(value), text)
+
+    def _filled(self, whole: Any, value: Any) -> str:
+        """Return the call that fills an array with a value, or with those of another."""
+        self._store(whole)
+        kind = getattr(self._kind(value), "base", self._kind(value))
+        cast = _cast(self._field(whole), _named(kind) if kind else "", "x")
+        return f"fill({self.of(whole)}, {self.of(value)}, (x) => {cast})"
 
     def _store(self, target: Any) -> None:
         parts = (part for part in ast.walk(target) if isinstance(part, ast.Attribute))
         self.made.stored.update(part.attr for part in parts)
 
+    def _lent(self, value: Any) -> Kind:
+        """Return the kind of a value; arrays in it may be written to by another name."""
+        kind = self._kind(value)
+        if not all(isinstance(part, str) for part in (kind if isinstance(kind, tuple) else [kind])):
+            self._store(value)
+        return kind
+
     def _field(self, node: Any) -> np.dtype | None:
-        """Return the type of a field, a local array, or a part of one; None for anything else."""
+        """Return the type of a field, an array, or a part of one; None for anything else."""
         places = 0
         while isinstance(node, ast.Subscript):
             places += len(node.slice.elts) if isinstance(node.slice, ast.Tuple) else 1
             node = node.value
-        known = self.made.fields if isinstance(node, ast.Attribute) else self.arrays
-        found = known.get(getattr(node, "attr", getattr(node, "id", "")))
-        return found and np.dtype((found.base, found.shape[places:]))
+        if isinstance(node, ast.Attribute):
+            found = self.made.fields.get(node.attr) or _kind_of(self._value(node))
+        else:
+            found = self._kind(node)
+        is_array = isinstance(found, np.dtype)
+        return np.dtype((found.base, found.shape[places:])) if is_array else None
 
     def _array(self, node: Any) -> np.dtype | None:
         """Return the type of an array that is made, with axes of length 1; None for other nodes."""
         match node:
-            case ast.Call(ast.Attribute(ast.Name("np"), "empty" | "full" as how), [shape, *given]):
-                known = (x.value if isinstance(x, ast.Constant) else self._value(x) for x in given)
+            case ast.Call(ast.Attribute(ast.Name("np"), "empty" | "full"), [shape, *given]):
+                value = self._value(given[-1]) if given else np.float64
+                kind = self._part(given[-1]) if value is None else type(value)
+                if not kind:  # perhaps of an integer, perhaps of a real number
+                    raise self._unknown(node)
                 axes = (1,) * len(getattr(shape, "elts", "1"))
-                return np.dtype((getattr(np, how)(axes, *known).dtype, axes))
+                return np.dtype((value if isinstance(value, type) else kind, axes))
         return None
-
-    def _is_row(self, node: Any) -> bool:
-        """Return whether a node is a whole array, with which a page cannot calculate."""
-        return bool((field := self._field(node)) and field.shape)
 
     def _learn(self, target: Any, kind: Kind, node: Any) -> None:
         """Record the kinds of variables; raise ValueError if one has several."""
         if isinstance(target, ast.Tuple):
-            parts = kind or ("",) * len(target.elts)
+            parts = kind if isinstance(kind, tuple) else ("",) * len(target.elts)
             for one, part in zip(target.elts, parts, strict=True):
                 self._learn(one, part, node)
-        elif isinstance(target, ast.Name) and self.kinds.setdefault(target.id, kind) != kind:
+        elif isinstance(target, ast.Name):
+            self.kinds[target.id] = self._joined(self.kinds.get(target.id, kind), kind, node)
+
+    def _joined(self, one: Any, two: Any, node: Any) -> Kind:
+        """Return the kind of what has two; raise ValueError if compiled code rounds only one."""
+        if tuple in (type(one), type(two)):
+            pairs = zip(one or [""] * len(two), two or [""] * len(one), strict=True)
+            return tuple(self._joined(*pair, node) for pair in pairs)
+        if (found := _alike((one, two))) or one == two:
+            return found
+        if not all(isinstance(kind, str) and kind not in (SINGLE, WIDE) for kind in (one, two)):
             raise self._unknown(node)
+        return ""
 
     def _kind(self, node: Any) -> Kind:
-        """Return the kind of an expression, or of each part of a tuple."""
+        """Return the kind of an expression."""
         match node:
             case ast.Name(id=name) if name in self.local:
                 return self.kinds.setdefault(name, "")
-            case ast.Subscript(value=value):
-                return self._part(value)
+            case ast.Subscript(slice=at) if isinstance(parts := self._kind(node.value), tuple):
+                at = getattr(at, "value", None)
+                return parts[at] if isinstance(at, int) else _alike(parts)
             case ast.Tuple(elts=parts):
-                kinds = self._parts(parts)
-                return kinds if any(kinds) else ""
-            case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=value):
-                return self._kind(value)
+                return (*map(self._kind, parts),)
+            case ast.Compare() | ast.UnaryOp(op=ast.Not()):
+                return "bool"
+            case ast.UnaryOp(operand=value):
+                return kind if (kind := self._part(value)) in (SINGLE, WIDE, *NATURAL) else ""
             case ast.BinOp(left=one, op=op, right=two):
-                kind = self._part(one)
-                known = {WIDE: WHOLE, SINGLE: (ast.Add, ast.Sub, ast.Mult, ast.Div)}.get(kind, ())
-                return kind if kind == self._part(two) and type(op) in known else ""
+                return _combined(type(op), self._part(one), self._part(two))
             case ast.IfExp(body=one, orelse=two):
-                return kind if (kind := self._kind(one)) == self._kind(two) else ""
+                return _alike(map(self._kind, (one, two)))
+            case ast.BoolOp(values=several):
+                return _alike(map(self._kind, several))
             case ast.Call(func=function, args=args):
-                made = self._array(node)
-                return self._kind_of_call(made.base.type if made else self._value(function), args)
-        if (field := self._field(node)) and field.base == np.float32:
-            return SINGLE
-        return CASTS.get(type(self._value(node)), "")
+                return self._array(node) or self._kind_of_call(self._value(function), args)
+        field = self._field(node) if isinstance(node, ast.Subscript | ast.Attribute) else None
+        if field:
+            return field if field.shape else _named(field).replace(WIDE, "uint32")
+        return _kind_of(self._value(node))
 
     def _kind_of_call(self, function: Any, args: list[Any]) -> Kind:
         """Return the kind of the result of a kernel, a cast, or a function of NumPy's."""
         if _is_kernel(function):
-            return self.made.kinds.get(self.made.name(function, self._parts(args)), "")
-        if function in CASTS or function not in BUILT_IN:
-            return CASTS.get(function, "")
-        return SINGLE if {*self._parts(args)} == {SINGLE} else ""
+            return self.made.kinds.get(self.made.name(function, (*map(self._kind, args),)), "")
+        if isinstance(function, type) and function is not int:  # a cast
+            return _named(function)
+        if function not in BUILT_IN:
+            return ""
+        kinds = [*map(self._part, args)]
+        if function is np.sqrt:
+            return SINGLE if kinds[0] in (SINGLE, *TINY) else ""
+        kind = functools.reduce(functools.partial(_combined, ast.Add), kinds)
+        return "" if function is int and kind == SINGLE else kind
 
     def _part(self, node: Any) -> str:
         kind = self._kind(node)
         return kind if isinstance(kind, str) else ""
-
-    def _parts(self, nodes: list[Any]) -> tuple[str, ...]:
-        return tuple(map(self._part, nodes))
 
     def of(self, node: Any) -> str:
         """Return an expression."""
@@ -318,12 +345,18 @@ class _Function:
                 return f"[{', '.join(map(self.of, parts))}]"
             case ast.IfExp(test=test, body=body, orelse=other):
                 return f"(yes({self.of(test)}) ? {self.of(body)} : {self.of(other)})"
-            case ast.BinOp() | ast.UnaryOp() if any(map(self._is_row, ast.iter_child_nodes(node))):
+            case ast.BinOp(left=one) | ast.UnaryOp(operand=one) | ast.Compare(left=one) if any(
+                isinstance(self._kind(side), np.dtype)
+                for side in (one, getattr(node, "right", one))
+            ):  # a page cannot calculate with whole arrays
                 raise self._unknown(node)
             case ast.UnaryOp(op=ast.Not(), operand=value):
                 return f"!yes({self.of(value)})"
             case ast.UnaryOp(op=op, operand=value) if type(op) in SIGNS:
-                return f"({SIGNS[type(op)]}{self.of(value)})"
+                if isinstance(op, ast.USub) and self._part(value) in NATURAL:
+                    raise self._unknown(node)
+                rounded = "wide" if self._part(value) == WIDE else ""
+                return f"{rounded}({SIGNS[type(op)]}{self.of(value)})"
             case ast.BoolOp(ast.And(), [*tests, last]) if {*map(type, tests)} == {ast.Compare}:
                 return f"({' && '.join(map(self.of, [*tests, last]))})"
             case ast.BoolOp(op=op, values=[value, *others]):  # to JavaScript any array is true
@@ -331,14 +364,16 @@ class _Function:
                 return f"{'or' if type(op) is ast.Or else 'and'}({self.of(value)}, () => {rest})"
             case ast.BinOp(left=left, op=op, right=right) if self._kind(node) == WIDE:
                 return f"wide({self.of(left)} {WHOLE[type(op)]} {self.of(right)})"
-            case ast.BinOp(left=left, right=right) if WIDE in self._parts([left, right]):
+            case ast.BinOp(left=left, right=right) if WIDE in map(self._part, (left, right)):
                 raise self._unknown(node)
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in CALLS:
-                return f"{CALLS[type(op)]}({self.of(left)}, {self.of(right)})"
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in SIGNS:
-                rounded = "exact" if isinstance(op, ast.Mult) else ""
-                rounded = "Math.fround" if self._kind(node) else rounded
-                return f"{rounded}({self.of(left)} {SIGNS[type(op)]} {self.of(right)})"
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in CALLS | SIGNS:
+                one, two, how = self.of(left), self.of(right), CALLS.get(type(op))
+                text = f"{how}({one}, {two})" if how else f"({one} {SIGNS[type(op)]} {two})"
+                if self._kind(node) == SINGLE:
+                    return f"Math.fround({text})"
+                if isinstance(op, ast.Sub) and self._kind(node):  # of two that are NATURAL
+                    return f"natural{text}"
+                return f"exact{text}" if isinstance(op, ast.Mult) else text
             case ast.Compare(ops=ops, comparators=several) if not any(map(_calls, several[:-1])):
                 sides = [self.of(side) for side in (node.left, *several)]
                 parts = zip(sides, map(type, ops), sides[1:], strict=False)
@@ -364,17 +399,23 @@ class _Function:
             return f"Array({self.of(args[0])}).fill(0)"
         if whole == "np.full" and isinstance(args[0], ast.Tuple) and len(args[0].elts) == 2:
             height, width, value = map(self.of, (*args[0].elts, args[1]))
+            value = _cast(self._array(ast.Call(function, args, [])), self._part(args[1]), value)
             return f"Array.from({{ length: {height} }}, () => Array({width}).fill({value}))"
         if whole == "len":
             return f"{self.of(args[0])}.length"
         value, given = self._value(function), ", ".join(map(self.of, args))
         given = f"...[{given}].flat()" if value in (min, max) else given
+        if OWN.get(value) == "fill":
+            return self._filled(*args)
         if _is_kernel(value):
-            return f"{self.made.name(value, self._parts(args))}({given})"
-        if value in (int, np.int64) and WIDE in self._parts(args):
+            return f"{self.made.name(value, (*map(self._lent, args),))}({given})"
+        if WIDE in map(self._part, args) and value in (int, np.int64):
             return f"exact(Number({given}))"
+        if WIDE in map(self._part, args) and value not in (np.float64, np.uint64, bool):
+            raise self._unknown(ast.Call(function, args, []))
         text = f"{self.of(function)}({given})"
-        return f"Math.fround({text})" if value is np.sqrt and self._part(args[0]) else text
+        is_single = value is np.sqrt and self._kind_of_call(value, args) == SINGLE
+        return f"Math.fround({text})" if is_single else text
 
     def _is_module(self, name: str) -> bool:
         return name not in self.local and inspect.ismodule(self.function.__globals__.get(name))
@@ -382,6 +423,8 @@ class _Function:
     def _value(self, node: Any) -> Any:
         """Return the object that a name stands for outside of the function; None for others."""
         match node:
+            case ast.Constant(value=value):
+                return value
             case ast.Name(id=name) if name not in self.local:
                 return (vars(builtins) | self.function.__globals__).get(name)
             case ast.Attribute(value=ast.Name(id=name), attr=attribute) if self._is_module(name):
@@ -403,15 +446,6 @@ class _Function:
         )
 
 
-def _fills(targets: list[Any], values: list[Any]) -> bool:
-    """Return whether whole arrays are filled by turns, with values that are not theirs."""
-    parts = (part for value in values for part in ast.walk(value))
-    slices = (getattr(target, "slice", None) for target in targets)
-    return any(isinstance(one, ast.Slice) for one in slices) and not any(
-        isinstance(part, ast.Attribute) for part in parts
-    )
-
-
 def _calls(node: ast.AST) -> bool:
     """Return whether an expression calls anything, which is done once."""
     return any(isinstance(part, ast.Call) for part in ast.walk(node))
@@ -420,6 +454,48 @@ def _calls(node: ast.AST) -> bool:
 def _is_kernel(value: Any) -> bool:
     function = getattr(value, "py_func", value)
     return inspect.isfunction(function) and not function.__module__.startswith("numpy")
+
+
+def _named(kind: Any) -> str:
+    return name if (name := np.dtype(kind).name) in {SINGLE, WIDE, *NATURAL, *TINY} else ""
+
+
+def _kind_of(value: Any) -> Kind:
+    if isinstance(value, np.ndarray):
+        return np.dtype((value.dtype, value.shape))
+    if isinstance(value, tuple):
+        return (*map(_kind_of, value),)
+    return _named(type(value)) if isinstance(value, bool | np.generic) else ""
+
+
+def _cast(field: np.dtype | None, kind: str, text: str) -> str:
+    """Return a number of that kind as a field or an array holds it."""
+    of = field.base if field else np.dtype(object)
+    if of == np.float32:
+        return text if kind == SINGLE else f"Math.fround({text})"
+    if of.kind in "iu" and of.itemsize < 8 and kind != WIDE:
+        return f"kept({text}, {of.itemsize * (8 if of.kind == 'u' else -8)})"
+    casts = {"i": "Math.trunc", "u": "Math.trunc", "b": "Boolean", "f": "Number"}
+    return f"{'Number' if field and kind == WIDE else casts.get(of.kind, '')}({text})"
+
+
+def _alike(kinds: Iterable[Kind]) -> Kind:
+    """Return the kind of what has one of several."""
+    found = {*kinds}
+    return found.pop() if len(found) == 1 else "uint32" if found <= NATURAL else ""
+
+
+def _combined(op: type, one: str, two: str) -> str:
+    """Return the kind of an operation's result: compiled code's rules, not NumPy's."""
+    both = {one, two}
+    if both == {WIDE}:
+        return WIDE if WHOLE.get(op) else ""
+    if both == {"bool"} and op in (ast.BitAnd, ast.BitOr):
+        return "bool"
+    if SINGLE in both and both <= {SINGLE, *TINY}:
+        return SINGLE
+    both = {one} if op in (ast.LShift, ast.RShift) else both
+    return "uint32" if op is not ast.Div and both <= NATURAL else ""
 
 
 def _word(name: str) -> str:

@@ -21,18 +21,8 @@ from filelock import Timeout
 from safetensors import SafetensorError
 from safetensors.torch import save as to_bytes
 
-from astray import provenance
+from astray import files, provenance
 from astray.agents import policy
-from astray.files import (
-    aside_of,
-    check_own,
-    check_writable,
-    folder_aside,
-    hold,
-    holds_only,
-    remove_left,
-    write_aside,
-)
 from astray.training import parallel
 from astray.training.config import Config
 from astray.training.folders import AGENT, CONFIG, STEPS, TRAINER, latest, read_config, steps_saved
@@ -64,7 +54,7 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
     found = None
     with contextlib.ExitStack() as held:
         try:
-            held.enter_context(hold(folder, "is training in", wait))
+            held.enter_context(files.hold(folder, "is training in", wait))
         except Timeout:
             raise Claimed(f"another process is training in {folder}") from None
         except OSError as error:
@@ -72,7 +62,7 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
         try:
             _check_folders(there, config)
             for name in (path.name, METRICS):  # a link would be replaced, or what it leads to
-                check_own(folder / name)
+                files.check_own(folder / name)
             if path.exists():
                 check(folder, config)
             else:
@@ -86,9 +76,9 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
                 }
                 data = {"config": config.to_json(), "versions": versions}
                 found = _written(folder)
-                write_aside(path, json.dumps(data, indent=2).encode())
-            remove_left(folder, (path.name, METRICS))
-            remove_left(there, (AGENT, TRAINER))
+                files.write_aside(path, json.dumps(data, indent=2).encode())
+            files.remove_left(folder, (path.name, METRICS))
+            files.remove_left(there, (AGENT, TRAINER))
             parallel.wait()
             yield
         except BaseException:
@@ -124,7 +114,7 @@ def check_all(runs: Mapping[Path, Config]) -> None:
         NotADirectoryError: If a file is where a checkpoint must be.
     """
     for run, config in runs.items() if parallel.first() else ():
-        check_writable(run / CONFIG)
+        files.check_writable(run / CONFIG)
         _check_folders(run / "checkpoints", config)
         if (run / CONFIG).exists():
             check(run, config)
@@ -147,22 +137,24 @@ def save(folder: Path, trainer: Trainer) -> None:
     if not parallel.first():
         return
     final = there / f"{trainer.steps}"
-    with folder_aside(final) as aside:
-        write_aside(aside / AGENT, policy.weights(trainer.network, trainer.architecture, game))
-        write_aside(aside / TRAINER, to_bytes(tensors, header))
+    with files.folder_aside(final) as aside:
+        files.write_aside(
+            aside / AGENT, policy.weights(trainer.network, trainer.architecture, game)
+        )
+        files.write_aside(aside / TRAINER, to_bytes(tensors, header))
         os.replace(aside, final)
     saved = steps_saved(folder)
     firsts = {next((s for s in saved if s >= m), None) for m in trainer.config.milestones}
     for old in saved[:-2]:
         place = there / f"{old}"
-        if not holds_only(place, (AGENT, TRAINER)):
+        if not files.holds_only(place, (AGENT, TRAINER)):
             continue  # it leads elsewhere, or the user keeps something in it
         if old in firsts:
             (place / TRAINER).unlink(missing_ok=True)
         else:
-            gone = aside_of(place)  # first out of sight: a kill may leave half of it
+            gone = files.aside_of(place)  # first out of sight: a kill may leave half of it
             os.replace(place, gone)
-            remove_left(there, (AGENT, TRAINER))
+            files.remove_left(there, (AGENT, TRAINER))
 
 
 def restore(folder: Path, trainer: Trainer) -> None:

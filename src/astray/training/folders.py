@@ -88,11 +88,6 @@ class AgentFolder:
         return self.weights.parent.name != f"{max(steps_saved(self.path), default='')}"
 
     @property
-    def is_foreign(self) -> bool:
-        """Whether it was imported or pulled."""
-        return (self.path / ORIGIN).exists() or (self.path / HUB).exists()
-
-    @property
     def card(self) -> Path:
         return self.path / CARD
 

@@ -92,10 +92,6 @@ def _blocks(across: np.ndarray, seed: int, count: int) -> np.ndarray:
     return _hash(seed, count)[(across * count / WIDE).astype(int) % count]
 
 
-def _hills(x: np.ndarray, seed: int) -> list[np.ndarray]:
-    return [_waves(x, seed + k, 4 + 2 * k) * 9 + base for k, base in enumerate((10, 6, 2))]
-
-
 def _mountains(x: np.ndarray, seed: int) -> list[np.ndarray]:
     far, mid = _waves(x, seed, 12, sharp=True), _waves(x, seed + 1, 8, sharp=True)
     return [far * 15 + 9, mid * 12 + 4, _waves(x, seed + 2, 6) * 5 + 2]
@@ -106,18 +102,6 @@ def _forest(x: np.ndarray, seed: int) -> list[np.ndarray]:
     return [
         _teeth(x, seed + k, n) * high + base + 2 * _waves(x, seed + 9, 5)
         for k, (n, high, base) in enumerate(rows)
-    ]
-
-
-def _dunes(x: np.ndarray, seed: int) -> list[np.ndarray]:
-    return [_waves(x, seed + k, 3 + k) * 6 + base for k, base in enumerate((9, 5, 2, 0))]
-
-
-def _town(x: np.ndarray, seed: int) -> list[np.ndarray]:
-    return [
-        _blocks(x, seed, 26) * 14 + 7,
-        _blocks(x, seed + 1, 18) * 10 + 4,
-        _blocks(x, seed + 2, 12) * 5 + 1,
     ]
 
 
@@ -135,9 +119,18 @@ def _islands(x: np.ndarray, seed: int) -> list[np.ndarray]:
     ]
 
 
+def _in_rows(shape: Callable, *rows: tuple[int, float, float]) -> Callable:
+    """Return a landscape of rows: how many there are of a shape, their height, and their base."""
+    return lambda x, seed: [
+        shape(x, seed + k, n) * high + base for k, (n, high, base) in enumerate(rows)
+    ]
+
+
 LANDSCAPES: tuple[Callable[[np.ndarray, int], list[np.ndarray]], ...] = (
-    _hills, _mountains, _forest, _dunes, _town, _mesas, _islands
-)  # fmt: skip
+    _in_rows(_waves, (4, 9, 10), (6, 9, 6), (8, 9, 2)), _mountains, _forest,
+    _in_rows(_waves, (3, 6, 9), (4, 6, 5), (5, 6, 2), (6, 6, 0)),
+    _in_rows(_blocks, (26, 14, 7), (18, 10, 4), (12, 5, 1)), _mesas, _islands,
+)  # fmt: skip  # the first are hills, the fourth are dunes, the fifth is a town
 
 
 def _clouds(across: np.ndarray, up: np.ndarray, k: int) -> np.ndarray:

@@ -223,11 +223,6 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     return s
 
 
-def invariants(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
-    """Return facts about states [N] of `variant` that compiled code relies on."""
-    return truths(states) | thief.of_variant(states, variant)
-
-
 def truths(states: np.ndarray) -> dict[str, np.ndarray]:
     """Return facts about states [N] of every variant."""
     s = states.view(np.recarray)

@@ -4,15 +4,8 @@ import numpy as np
 
 from astray.art import original
 from astray.games.heist.rules import COLOURS, DOOR_CODE, GEM, GEM_HIGH, KEY
+from astray.kernel import overhead
 from astray.kernel.jit import shared
-from astray.kernel.overhead import (
-    FIRST_PLACE,
-    ICON_DOWN,
-    background,
-    draw_icon,
-    draw_scene,
-    icon_right,
-)
 from astray.kernel.thief import KEY_HIGH, KEY_WIDE
 
 PICTURES = (
@@ -24,7 +17,7 @@ PICTURES = (
     "misc_assets/gemYellow.png",
 )
 # By the code of an object: its picture, and half its width and height in cells.
-THINGS = np.arange(GEM + 1) - KEY + FIRST_PLACE
+THINGS = np.arange(GEM + 1) - KEY + overhead.FIRST_PLACE
 HALVES = np.full((GEM + 1, 2), 0.5, np.float32)
 HALVES[KEY:DOOR_CODE] = KEY_WIDE, KEY_HIGH
 HALVES[GEM] = KEY_WIDE, GEM_HIGH
@@ -33,10 +26,10 @@ HALVES[GEM] = KEY_WIDE, GEM_HIGH
 @shared
 def foreground(s, art, scene, image):
     """Draw the scene or its window around the thief, with the thief and the keys in hand."""
-    draw_scene(s, art, scene, image)
+    overhead.draw_scene(s, art, scene, image)
     for k in range(len(COLOURS)):
         if s.hand >> k & 1:
-            draw_icon(s, art, image, KEY + k, icon_right(k), ICON_DOWN)
+            overhead.draw_icon(s, art, image, KEY + k, overhead.icon_right(k), overhead.ICON_DOWN)
 
 
-LOOKS = original.looks(background, foreground, PICTURES, THINGS, HALVES)
+LOOKS = original.looks(overhead.background, foreground, PICTURES, THINGS, HALVES)

@@ -2,6 +2,7 @@
 
 from astray.game import Benchmark, Game
 from astray.games.keys import draw, levels, measures, original, rules, solve, variants
+from astray.kernel.thief import of_variant
 from astray.places import Placement
 
 GAME = Game(
@@ -18,7 +19,7 @@ GAME = Game(
     solver=solve,
     places=Placement(levels, solve, vx=0, vy=0),
     benchmark=Benchmark("many-chests", envpool="HeistHard-v0"),
-    invariants=levels.invariants,
+    invariants=lambda states, variant: levels.truths(states) | of_variant(states, variant),
     labels=measures.LABELS,
     real_time=True,
 )

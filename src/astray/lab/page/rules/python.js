@@ -18,15 +18,16 @@ export const wide = (x) => BigInt.asUintN(64, BigInt(x)); // an integer without 
 
 export function exact(number) {
   if (!Number.isInteger(number) || Number.isSafeInteger(number)) return number;
-  throw new Error("the rules multiply to an integer above 2 ** 53, which needs Python: astray lab");
+  throw new Error("the rules come to an integer above 2 ** 53, which needs Python: astray lab");
 }
+export const natural = (x) => (x < 0 ? exact(2 ** 64) : x); // of integers without a sign
 
 const axes = (x) => (Array.isArray(x) ? 1 + axes(x[0]) : 0);
-export function fill(rows, value) {
+export function fill(rows, value, as = (x) => x) {
   const each = axes(value) === axes(rows); // or all parts get the same
   rows.forEach((row, y) => {
     const part = each ? value[y] : value;
-    if (typeof row === "object") fill(row, part); else rows[y] = part;
+    if (typeof row === "object") fill(row, part, as); else rows[y] = as(part);
   });
 }
 
