@@ -283,6 +283,13 @@ def test_a_walk_to_a_goal_without_an_expert_is_refused_by_its_name(workers):
         play(Walk("square"), world)
 
 
+def test_observations_of_several_parts_are_no_data_set(tmp_path):
+    policy = Function(lambda seen: np.ones(len(seen["room"]), int))
+    with pytest.raises(ValueError, match=r"shows in a data set must be a ndarray; got .'room'"):
+        export(policy, troubled("parts"), "end", [3, 4], tmp_path / "set")
+    assert not (tmp_path / "set").exists()
+
+
 def test_actions_of_several_parts_are_refused_before_the_first_step():
     with pytest.raises(ValueError, match=r"actions of room end must be numbers or .*; got Tuple"):
         play(RIGHT, troubled("two answers"))

@@ -31,7 +31,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.files import check_writable, folder_aside, read, write_aside
 from astray.game import Game, Variant
 from astray.record import count_levels
-from astray.validation import brief, one_of, path_of, shown
+from astray.validation import brief, of_kind, one_of, path_of, shown
 from astray.world import World, WorldVariant
 
 Format = Literal["parquet", "minari"]
@@ -80,6 +80,7 @@ def trajectories(
     """
     parts: dict[int, list[tuple]] = {}
     for step in steps(policy, game, variant, levels, batch=batch, longest=longest):
+        of_kind("what an environment shows in a data set", step.observations, np.ndarray)
         for i, level in enumerate(step.level.tolist()):
             kept = step.observations[i].copy(), step.before[i].copy()
             done = np.array(step.actions[i]), float(step.rewards[i])
@@ -181,9 +182,8 @@ def write_parquet(
 
 
 def _episode(one: Trajectory, game: Game) -> dict[str, Any]:
-    told = {"level": one.level, "return": float(one.rewards.sum())}
-    told |= {"length": len(one), "terminated": one.terminated}
-    last = one.states[-1]
+    last, total = one.states[-1], float(one.rewards.sum())
+    told = {"level": one.level, "return": total, "length": len(one), "terminated": one.terminated}
     return told | {event: int(last[event]) if last[event] >= 0 else None for event in game.events}
 
 
