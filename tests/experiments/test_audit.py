@@ -231,7 +231,7 @@ def files_of(folder):
         (("--policy", "random"), "--policy needs --shift, and --game or --world, and no agent"),
         ((), "name an agent or a run folder, or give a --policy"),
         (("maze-corner", "--ghost", "gone"), "unknown variant as a ghost 'gone'; there are:"),
-        (("maze-corner", "--num-levels", "0"), "--num-levels must be an integer from 1 to 10000000"),
+        (("maze-corner", "--num-levels", "0"), "levels must be an integer from 1 to 10000000"),
         (("nobody",), "unknown agent 'nobody'"),
         (("maze-corner", "--set", "gone=1"), "gone"),
     ],

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from astray import games
-from astray.analysis import agency
+from astray.analysis import agency, runs
 from astray.analysis.adapters import Function
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random
@@ -171,6 +171,15 @@ def test_a_game_without_cells_is_told_before_it_compiles(monkeypatch):
     with pytest.raises(ValueError, match="has no cells"):
         variant = games.find("coinrun").variants["coin-end"]
         agency.assess_policy(Random(), "coinrun", variant, "coin-end", [3])
+
+
+def test_a_level_file_that_is_none_is_told_before_an_explanation_plays(
+    astray, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(runs, "rehearse", lambda *_: pytest.fail("it plays"))
+    (tmp_path / "level.json").write_text("{")
+    words = ("explain", "maze-corner", "--level-file", tmp_path / "level.json")
+    assert "level.json: Expecting property" in astray(*words, fails=True)
 
 
 def test_a_package_that_findings_need_is_missed_before_training(tmp_path):

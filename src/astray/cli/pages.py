@@ -76,9 +76,9 @@ def explain(
         check_layers(agent, reads)  # pyright: ignore[reportArgumentType]
     check_free(out, PAGE, SIGN, written(game))
     check_writable(out / PAGE)
+    number, why = level.find(game, levels), ""
     rehearse([policy], game, levels, [0])
     unseen = config.unseen_levels if config else range(MOST_LEVELS + 2)
-    number, why = level.find(game, levels), ""
     if number is None:
         first, shift = int(unseen[0]), load_shift(game, named)
         number, why = typical(game, levels, shift, agent, first)
