@@ -40,7 +40,7 @@ class _Lent:
             self.inside += 1
             if self.inside > 1:
                 return
-            self.standard = [(module, {**vars(module)}) for module in (builtins, json)]
+            self.standard = [(module, {**vars(module)}) for module in (builtins, json, os)]
             self.own, self.output = (sys.stdout, sys.stderr), 0
             if sys.__stderr__ and sys.stdout is sys.__stdout__:  # a program may read the output
                 stream = open(2, "w", 1, errors="backslashreplace", closefd=False)

@@ -148,12 +148,14 @@ def test_a_game_that_closes_a_standard_stream_does_not_end_what_follows(tmp_path
     assert sorted(done.stderr.split()) == sorted(told)  # not amid what a program may read
 
 
-@pytest.mark.parametrize("name", ["builtins.sorted", "json.dumps", "builtins.isinstance"])
+@pytest.mark.parametrize(
+    "name", ["builtins.sorted", "json.dumps", "builtins.isinstance", "os.dup2"]
+)
 def test_a_game_that_replaces_a_function_of_python_takes_nothing_else_down(
     tmp_path, monkeypatch, astray, name
 ):
     monkeypatch.setattr(name, pkgutil.resolve_name(name))  # which is put back in any case
-    spoils = f"import builtins, json\n{name} = None\nGAME = 3"
+    spoils = f"import builtins, json, os\n{name} = None\nGAME = 3"
     offer(tmp_path, monkeypatch, spoils=spoils)
     assert "must be a Game" in json.loads(astray("list", "--json"))["games"]["spoils"]["error"]
     games._offered.cache_clear()
