@@ -106,6 +106,7 @@ def test_a_misspelt_word_is_no_other_word(misspelt):
             lambda: Config(learning_rate=float("inf")),
             "learning_rate must be of type float; got inf",
         ),
+        (lambda: Config(learning_rate=10**400), "learning_rate must be of type float; got 1000"),
         (lambda: Config(clip=float("nan")), "clip must be of type float; got nan"),
         (lambda: replace(SMALL, time_limit=5.5), "time_limit must be an integer from"),
         (lambda: replace(SMALL, time_limit=True), "time_limit must be an integer"),

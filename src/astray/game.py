@@ -118,16 +118,6 @@ class Missing:
         raise ValueError(self._said)
 
 
-def _check_whole(game: str, part: str, given: Any, kind: type) -> None:
-    """Raise ValueError if a part of a game lacks a name of its protocol."""
-    missing = [n for n in vars(kind) if not n.startswith("_") and not hasattr(given, n)]
-    if missing:
-        raise ValueError(
-            f"{part} of the game {game!r} must have {', '.join(missing)}, as "
-            f"astray.protocols.{kind.__name__} says; got {shown(given)}"
-        )
-
-
 def check_names(rules: Any, *more: str) -> None:
     """Raise ValueError unless named parts of a game or World are mappings whose names are texts."""
     for name in ("variants", "goals", "shifts", "ends", "measures", *more):
@@ -216,7 +206,12 @@ class Game:
         for part, kind in PARTS.items():
             given = getattr(self, part)
             if part not in ABILITIES or not isinstance(given, Missing | None):
-                _check_whole(self.name, part, given, kind)
+                lacks = [n for n in vars(kind) if not n.startswith("_") and not hasattr(given, n)]
+                if lacks:
+                    raise ValueError(
+                        f"{part} of the game {self.name!r} must have {', '.join(lacks)}, as "
+                        f"astray.protocols.{kind.__name__} says; got {shown(given)}"
+                    )
         check_names(self, "looks", "labels")
         check_goals(self)
         for ability in ABILITIES:

@@ -12,6 +12,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode
 
 from astray import games, memory
+from astray.envs import beginnings
 from astray.envs import states as states_in_files
 from astray.envs.states import load_states, save_states
 from astray.envs.vector import GameVectorEnv
@@ -175,6 +176,20 @@ def test_states_for_which_there_is_no_memory_say_why(tmp_path, monkeypatch):
     monkeypatch.setattr(states_in_files, "read", short)
     with pytest.raises(ValueError, match=r"holds no states: it cannot be read .too little memory."):
         load_states(tmp_path / "states.npz", "maze")
+
+
+@pytest.mark.parametrize("error", [MemoryError(), ValueError("I/O operation on closed file.")])
+def test_states_that_do_not_fit_into_memory_leave_the_file_as_it_was(error, tmp_path, monkeypatch):
+    def short(*_, **__):
+        raise error  # as NumPy does
+
+    states = beginnings.initial_states("maze", "corner-small", [1])
+    save_states(path := tmp_path / "states.npz", "maze", states)
+    before = path.read_bytes()
+    monkeypatch.setattr(np, "savez_compressed", short)
+    with pytest.raises(MemoryError, match="too little memory to write 1 state"):
+        save_states(path, "maze", states)
+    assert path.read_bytes() == before
 
 
 def test_a_header_that_promises_too_much_takes_no_memory(tmp_path):

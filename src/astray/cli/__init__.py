@@ -28,7 +28,11 @@ def main() -> None:
         if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
             signal.signal(signal.SIGTERM, _terminate)
         threading.excepthook = _tell_of_thread
-        _check_folder()
+        try:
+            os.getcwd()
+        except FileNotFoundError:  # which libraries handle badly
+            gone = "the working folder no longer exists; change to one that does"
+            raise FileNotFoundError(gone) from None
         # Imported here: libraries read the environment, and may not like what they find.
         try:
             from astray.cli.verbs import run
@@ -75,16 +79,6 @@ def _open_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # paths may be of bytes that are no text
             stream.reconfigure(errors="backslashreplace")
-
-
-def _check_folder() -> None:
-    """Raise FileNotFoundError if the working folder is gone, which libraries handle badly."""
-    try:
-        os.getcwd()
-    except FileNotFoundError:
-        raise FileNotFoundError(
-            "the working folder no longer exists; change to one that does"
-        ) from None
 
 
 def _tell(what: str) -> None:

@@ -13,7 +13,7 @@ from astray import games
 from astray.files import read, write_aside
 from astray.game import Game
 from astray.memory import check_memory
-from astray.validation import brief, of_kind
+from astray.validation import brief, counted, of_kind
 
 FORMAT = 1  # goes up when the fields of a state change their meaning
 # All that NumPy raises for what is no archive of arrays.
@@ -28,6 +28,7 @@ def save_states(path: Path, game: str | Game, states: np.ndarray) -> None:
 
     Raises:
         ValueError: If they are not states of the game.
+        MemoryError: If their file does not fit.
     """
     game = games.find(game)
     wanted = game.state
@@ -36,8 +37,12 @@ def save_states(path: Path, game: str | Game, states: np.ndarray) -> None:
         given = f"{states.dtype} of shape {states.shape}"
         raise ValueError(f"states must be [N] records of {game.name}; got {given}")
     file, plain = io.BytesIO(), np.dtype(wanted.descr)
-    np.savez_compressed(file, game=game.name, format=FORMAT, states=states.view(plain))
-    write_aside(path, file.getvalue())
+    try:
+        np.savez_compressed(file, game=game.name, format=FORMAT, states=states.view(plain))
+        data = file.getvalue()
+    except (ValueError, MemoryError) as error:  # a library says then that its file is closed
+        raise MemoryError(f"too little memory to write {counted(len(states), 'state')}") from error
+    write_aside(path, data)
 
 
 def load_states(path: Path, game: str | Game) -> np.ndarray:

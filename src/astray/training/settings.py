@@ -3,7 +3,8 @@
 import types
 import typing
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import inf
+from sys import float_info
 from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
@@ -143,5 +144,6 @@ def _check_type(name: str, value: Any, kind: Any) -> None:
     kinds = [typing.get_origin(part) or part for part in parts]
     if float in kinds:
         kinds.append(int)
-    if type(value) not in kinds or (type(value) is float and not isfinite(value)):
+    is_number = type(value) in (int, float)  # as which none of 400 digits counts
+    if type(value) not in kinds or (is_number and not abs(value) <= float_info.max):
         raise ValueError(f"{name} must be of type {kinds[0].__name__}; got {shown(value)}")
