@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: demo test tested quick compiled thorough fuzz attack golden check lint docs bench wheel sbom notebooks clean
+.PHONY: demo test tested quick compiled thorough fuzz attack golden check lint docs bench wheel lowest sbom notebooks clean
 
 # Train mice on cheese in the corner, test them on cheese anywhere, report what they pursue.
 demo: $(INSTALLED)
@@ -84,16 +84,22 @@ bench: $(INSTALLED)
 
 # The wheel and the source archive, checked; then the wheel in a bare environment, tried: its core
 # alone, then what trains.
+wheel: VERSIONS ?= constraints.txt
 wheel: $(INSTALLED)
 	rm -rf dist
 	$(BIN)/python -m build --quiet
 	$(BIN)/twine check --strict dist/*
 	rm -rf .bare && $(PYTHON) -m venv .bare
-	.bare/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
+	.bare/bin/python -m pip install --quiet --constraint $(VERSIONS) dist/*.whl
 	.bare/bin/python packaging/smoke.py --core
-	.bare/bin/python -m pip install --quiet --constraint constraints.txt "$$(ls dist/*.whl)[train]"
+	.bare/bin/python -m pip install --quiet --constraint $(VERSIONS) "$$(ls dist/*.whl)[train]"
 	.bare/bin/python packaging/smoke.py
 	rm -rf .bare
+
+# The same with the oldest versions that `pyproject.toml` admits.
+lowest: $(INSTALLED)
+	$(BIN)/python packaging/lowest.py > .venv/lowest.txt
+	$(MAKE) --no-print-directory wheel VERSIONS=.venv/lowest.txt
 
 # What an installation of the newest allowed versions holds: dist/sbom.json, in CycloneDX's format.
 sbom:

@@ -89,6 +89,20 @@ def test_what_extras_bring_is_tested():
     assert extras - {package(one) for one in tested} == APART | {"astray"}
 
 
+def test_the_oldest_libraries_are_tried():
+    told = subprocess.run(
+        [sys.executable, ROOT / "packaging/lowest.py"], capture_output=True, text=True, check=True
+    )
+    lowest = dict(line.split("==") for line in told.stdout.split())
+    needed = {
+        *PROJECT["project"]["dependencies"],
+        *(one for each in EXTRAS.values() for one in each),
+    }
+    assert lowest.keys() == {package(one) for one in needed} - {"astray"}
+    steps = yaml(".github/workflows/test.yml")["jobs"]["lowest"]["steps"]
+    assert any("packaging/lowest.py" in step.get("run", "") for step in steps)
+
+
 def test_all_is_every_extra():
     assert {name for name in EXTRAS if name not in ("all", "train")} == set(
         re.search(r"\[(.*)\]", *EXTRAS["all"])[1].split(",")
