@@ -109,6 +109,28 @@ def test_differences_of_kinds_hold_the_truth_as_often_as_they_say(agents):
         assert 0.92 <= held <= most, (middle, spread, pooled, held)
 
 
+@pytest.mark.parametrize("agents", [5, 8])
+def test_kinds_that_nearly_all_succeed_and_differ_widely_are_told_apart_too_often(agents):
+    """As for a single kind, a rare agent that often fails is hardly ever among few."""
+    random = np.random.default_rng([agents, 5])
+    level = random.normal(0, HARD, (TIMES, 1, 1, LEVELS))
+    agent = random.normal(0, HUGE, (TIMES, 2, agents, 1))
+    success = random.random((TIMES, 2, agents, LEVELS)) < expit(5 + agent + level)
+    found = [estimate_difference(*both) for both in success]
+    assert 0.89 <= np.mean([one.low <= 0 <= one.high for one in found]) <= 0.95
+
+
+@pytest.mark.parametrize("agents", [1, 8])
+def test_means_with_a_long_tail_need_more_than_ten_levels(agents):
+    random = np.random.default_rng(agents)
+    for levels, least, most in ((5, 0.87, 0.93), (10, 0.87, 0.94), (100, 0.92, 0.97)):
+        values = random.exponential(1, (TIMES, 1, levels)) + random.normal(
+            0, 0.3, (TIMES, agents, levels)
+        )
+        held = np.mean([(one := estimate_mean(x)).low <= 1 <= one.high for x in values])
+        assert least <= held <= most, (levels, held)
+
+
 def test_nine_of_ten_is_not_enough():
     """An interval of another level than 95 % is noticed: the mean of all cells above is at it."""
     held = [covered(agents, HALF, LARGE, 0.0, 0) for agents in (2, 3, 5, 8, 10)]
