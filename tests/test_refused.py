@@ -245,7 +245,8 @@ WORDS = {  # of each verb, so that nothing but the number is wrong
     "explain": ["maze-corner"], "export": ["maze-corner"],
     "lab": ["maze-corner", "--no-browser"],
     "sweep": ["maze", "corner-small", "--set", "gamma=0.9,0.99"],
-    "distil": ["maze-corner"], "audit": ["maze-corner"], "compare": ["maze-corner", "random"],
+    "distil": ["maze-corner"], "audit": ["maze-corner"], "agency": ["maze-corner"],
+    "compare": ["maze-corner", "random"],
     "play": ["maze", "corner-small"], "replay": ["maze", "corner-small", "--actions", __file__],
 }  # fmt: skip
 CHECKED = {*kinds(), *settings.NAMES.values()}  # with all other settings of a training

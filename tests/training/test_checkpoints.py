@@ -64,7 +64,7 @@ def test_a_kill_while_an_old_checkpoint_is_removed_leaves_no_half_of_it(tmp_path
 
     longer = replace(CONFIG, steps=40 * 1024)
     with monkeypatch.context() as patch:
-        patch.setattr(checkpoint, "remove_left", half)
+        patch.setattr("astray.files.remove_left", half)
         with pytest.raises(KeyboardInterrupt):
             train(longer, tmp_path, progress=False)
     # The first to go is the one at 6,144, which is not the first after a milestone.
