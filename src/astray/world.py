@@ -36,7 +36,9 @@ class WorldVariant:
     time_limit: ClassVar[int] = 0  # steps; unknown for an outside environment
 
     def __getattr__(self, name: str) -> Any:
-        if not name.startswith("_") and name in self.knobs:
+        if name.startswith("_"):  # what Python itself asks for, also before there are knobs
+            raise AttributeError(name)
+        if name in self.knobs:
             return self.knobs[name]
         raise AttributeError(f"{self.world} {self.name} has no {name!r}")
 

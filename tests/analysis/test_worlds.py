@@ -1,10 +1,12 @@
 """Any Gymnasium environment is evaluated as a game is; what is wrong with one is told."""
 
 import contextlib
+import copy
 import itertools
 import json
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 from dataclasses import replace
@@ -345,6 +347,29 @@ def test_an_interrupt_while_actions_are_sent_is_no_error(monkeypatch):
         env.step(np.ones(2, int))
     env.close()  # the answer of the first waits, which is of nothing that is asked now
     assert not multiprocessing.active_children()
+
+
+@pytest.fixture
+def begin_processes():
+    """A function that sets how processes begin; they fork on Linux alone, until Python 3.14."""
+    before = multiprocessing.get_start_method()
+    yield partial(multiprocessing.set_start_method, force=True)
+    multiprocessing.set_start_method(before, force=True)
+
+
+@pytest.mark.parametrize("how", multiprocessing.get_all_start_methods())
+def test_processes_of_environments_begin_in_any_way(how, begin_processes):
+    begin_processes(how)
+    apart = evaluate(RIGHT, replace(WORLD, workers=True), "anywhere", LEVELS[:4], batch=2)
+    assert apart.equals(evaluate(RIGHT, WORLD, "anywhere", LEVELS[:4], batch=2))
+
+
+def test_a_variant_of_a_world_is_copied_and_pickled():
+    variant = replace(WORLD.variant("end"), knobs={"size": 5})
+    for again in (pickle.loads(pickle.dumps(variant)), copy.copy(variant), copy.deepcopy(variant)):
+        assert str(again) == str(variant) and again.size == 5
+    with pytest.raises(AttributeError, match="room end has no 'colour'"):
+        _ = variant.colour
 
 
 def test_the_end_of_all_processes_at_once_is_no_other_error(monkeypatch):

@@ -30,10 +30,8 @@ class _Locator(UserProvidedCacheLocator):
     """
 
     def __init__(self, function: Any, folder: str):
-        self._py_file, self._lineno = (
-            function.__code__.co_filename,
-            function.__code__.co_firstlineno,
-        )
+        code = function.__code__
+        self._py_file, self._lineno = code.co_filename, code.co_firstlineno
         # Digests tell apart what is astray's own, so that installations and clones share it.
         own, path = Path(self._py_file).parent, self.get_suitable_cache_subpath(self._py_file)
         self._cache_path = os.path.join(folder, own.name if PACKAGE in own.parents else path)
