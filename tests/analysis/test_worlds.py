@@ -349,17 +349,10 @@ def test_an_interrupt_while_actions_are_sent_is_no_error(monkeypatch):
     assert not multiprocessing.active_children()
 
 
-@pytest.fixture
-def begin_processes():
-    """A function that sets how processes begin; they fork on Linux alone, until Python 3.14."""
-    before = multiprocessing.get_start_method()
-    yield partial(multiprocessing.set_start_method, force=True)
-    multiprocessing.set_start_method(before, force=True)
-
-
 @pytest.mark.parametrize("how", multiprocessing.get_all_start_methods())
-def test_processes_of_environments_begin_in_any_way(how, begin_processes):
-    begin_processes(how)
+def test_processes_of_environments_begin_in_any_way(how):
+    """They fork on Linux alone, until Python 3.14, and unless torchrl is imported."""
+    multiprocessing.set_start_method(how, force=True)
     apart = evaluate(RIGHT, replace(WORLD, workers=True), "anywhere", LEVELS[:4], batch=2)
     assert apart.equals(evaluate(RIGHT, WORLD, "anywhere", LEVELS[:4], batch=2))
 
