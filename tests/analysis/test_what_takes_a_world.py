@@ -58,6 +58,13 @@ def test_what_needs_states_refuses_a_world_in_a_sentence(name, network):
         REFUSES[name](network)
 
 
+def test_endless_episodes_of_a_world_are_visited_for_some_steps(network):
+    rows, states = visit(network, "end", range(3), longest=2)
+    whole, _ = visit(network, "end", range(3))
+    assert rows.equals(whole.filter(whole["step"] < 2)) and rows.height < whole.height
+    assert len(states) == len(rows)
+
+
 def test_a_network_is_looked_into_in_a_world(network):
     rows, states = visit(network, "anywhere", range(3))
     seen = states["observation"]

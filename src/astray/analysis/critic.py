@@ -44,6 +44,7 @@ def visit(
     measures: Mapping[str, Measure] | None = None,
     seed: int = 0,
     batch: int = 256,
+    longest: int | None = None,
 ) -> tuple[pl.DataFrame, np.ndarray]:
     """Return a table with a row per step of the agent's episodes, and the states [rows].
 
@@ -52,10 +53,10 @@ def visit(
 
     Args:
         levels: Level numbers, or drawn levels by name, which are numbered from 0.
-        per_episode: Most steps per episode, sampled uniformly with `seed`; None for every step. A
-            state of CoinRun takes 17 kB.
+        per_episode: Most steps per episode, drawn with `seed`; None for all. One takes up to 17 kB.
         gamma: Discount of a further column "future", the return from the step on.
         measures: Further columns, functions of the states.
+        longest: Steps after which an episode is truncated; None for no limit.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -70,9 +71,9 @@ def visit(
     heaps: list[list[tuple]] = [[] for _ in range(count)]  # (-noise, step, state, action, reward)
     limit = np.full(count, np.inf)  # the steps with the least noise are kept
     rewards: list[list[float]] = [[] for _ in levels]
-    game = agent.game
-    world = replace(game, every_step=True) if isinstance(game, World) else None
-    for step in steps(agent, world or game, variant, levels, batch=batch):
+    world = replace(agent.game, every_step=True) if isinstance(agent.game, World) else None
+    game = world or agent.game
+    for step in steps(agent, game, variant, levels, batch=batch, longest=longest):
         before = world.shown(step.before, step.observations) if world else step.before
         for level, reward in zip(step.level, step.rewards, strict=True):
             rewards[level].append(float(reward))
@@ -81,9 +82,8 @@ def visit(
             heap, one = heaps[step.level[i]], slice(i, i + 1)
             state = before[one].copy()
             row = -noise[i], state["time"], state, step.actions[one], step.rewards[one]
-            heapq.heappush(heap, row)
-            if per_episode is not None and len(heap) > per_episode:
-                heapq.heappop(heap)
+            is_full = len(heap) == per_episode
+            (heapq.heappushpop if is_full else heapq.heappush)(heap, row)
             if len(heap) == per_episode:
                 limit[step.level[i]] = -heap[0][0][0]
     rows = [row for heap in heaps for row in sorted(heap, key=lambda row: row[1])]
