@@ -25,7 +25,7 @@ from astray.envs.beginnings import beginnings, without_autoreset
 from astray.envs.beginnings import initial_states as initial_states
 from astray.envs.steps import Reward as Reward
 from astray.envs.steps import Step as Step
-from astray.envs.steps import check_rows, rows
+from astray.envs.steps import check_rows, choices, rows
 from astray.envs.vector import GameVectorEnv, Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import Game, Variant
@@ -196,20 +196,10 @@ def asked(policy: Policy, turn: Turn) -> Answer:
 
 def checked_actions(name: str, chosen: Any, turn: Turn) -> np.ndarray:
     """Return a policy's actions [N]; raise ValueError if they are invalid."""
-    chosen, n, space = np.asarray(chosen), len(turn.begins), turn.env.single_action_space
-    if isinstance(turn.env, WorldVectorEnv) or not isinstance(space, Discrete):
-        return chosen  # a world checks its own actions
-    low, high = int(space.start), int(space.start + space.n) - 1
-    if chosen.shape != (n,) or not np.issubdtype(chosen.dtype, np.integer):
-        raise ValueError(
-            f"{name} must return integers [{n}], an action for each observation; got "
-            f"{chosen.dtype} of shape {chosen.shape}"
-        )
-    if n and (chosen.min() < low or chosen.max() > high):
-        raise ValueError(
-            f"actions of {name} must be from {low} to {high}; got {chosen.min()} to {chosen.max()}"
-        )
-    return chosen.astype(np.int64)
+    space = turn.env.single_action_space
+    if not isinstance(space, Discrete):
+        return np.asarray(chosen)  # a world checks such actions
+    return choices(name, chosen, len(turn.begins), space)
 
 
 def _taken(turn: Turn, answer: Answer, level: np.ndarray) -> Step:

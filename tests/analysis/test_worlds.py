@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import subprocess
 import sys
 from dataclasses import replace
 from functools import partial
@@ -29,6 +30,7 @@ from astray.analysis.runs import evaluate_policies
 from astray.envs import worlds
 from astray.envs.worlds import WorldVectorEnv, check_repeats
 from astray.game import More, Never
+from helpers.processes import environment
 from helpers.rooms import CELLS, WORLD, Room
 
 LEVELS = np.array([3, 1, 4, 15, 9, 2, 6, 53, 58, 97])
@@ -355,6 +357,70 @@ def test_processes_of_environments_begin_in_any_way(how):
     multiprocessing.set_start_method(how, force=True)
     apart = evaluate(RIGHT, replace(WORLD, workers=True), "anywhere", LEVELS[:4], batch=2)
     assert apart.equals(evaluate(RIGHT, WORLD, "anywhere", LEVELS[:4], batch=2))
+
+
+COUNTED = """
+import os
+import gymnasium
+import astray
+
+os.write(1, b"imported\\n")
+
+def lake():
+    return gymnasium.make("FrozenLake-v1")
+
+def gift(env, info):
+    return env.s == 15
+
+LAKE = astray.World(
+    name="lake",
+    variants={"map": lake},
+    events={"gift": gift},
+    goals={"gift": "gift"},
+    shifts={},
+    workers=True,
+)
+"""
+MANY = """
+import multiprocessing
+import numpy as np
+
+if __name__ == "__main__":
+    multiprocessing.set_start_method("forkserver")
+    from astray.envs.worlds import WorldVectorEnv
+    from counted import LAKE
+    env = WorldVectorEnv(LAKE, "map", 4)
+    print(env.reset(options={"level": np.arange(4)})[0], flush=True)
+    env.close()
+"""
+
+
+@pytest.mark.skipif(
+    "forkserver" not in multiprocessing.get_all_start_methods(), reason="there is no such server"
+)
+def test_a_server_of_forks_imports_a_world_once_for_all_its_processes(tmp_path):
+    """Each took a second and more, and an evaluation has hundreds."""
+    (tmp_path / "counted.py").write_text(COUNTED)
+    (tmp_path / "many.py").write_text(MANY)
+    paths = os.pathsep.join([str(tmp_path), environment()["PYTHONPATH"]])
+    command = [sys.executable, tmp_path / "many.py"]
+    done = subprocess.run(
+        command, env=environment(PYTHONPATH=paths), capture_output=True, text=True
+    )
+    assert sorted(done.stdout.split("\n")) == ["", "[0 0 0 0]", "imported", "imported"], done.stderr
+
+
+class Below(Room):
+    """Goes right if an action less 2 is below 0."""
+
+    def step(self, action):
+        return super().step(action - 2 < 0)
+
+
+def test_actions_of_few_bits_do_not_overflow_in_an_environment():
+    world = replace(WORLD, variants={"end": Below, "anywhere": Below})
+    few = Function(lambda seen: np.ones(len(seen), np.uint8), "few")
+    assert evaluate(few, world, "end", LEVELS[:2])["reached_square"].to_list() == [4, 4]
 
 
 def test_a_variant_of_a_world_is_copied_and_pickled():

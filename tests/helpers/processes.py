@@ -7,6 +7,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from multiprocessing import forkserver
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -46,8 +47,10 @@ def begin(
 
     It is forked from one that has imported the libraries, but no astray.
     """
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(LIBRARIES))
+    context, server = multiprocessing.get_context("forkserver"), forkserver._forkserver
+    if server._preload_modules != list(LIBRARIES):  # a World's processes need astray in it
+        server._stop()
+        context.set_forkserver_preload(list(LIBRARIES))
     told = Path(tempfile.mkdtemp(dir=folder.parent))
     (told / "program.py").write_text(program, "utf-8")
     given = (told, folder, tuple(map(str, words)), {**(env or environment())})

@@ -82,8 +82,7 @@ def visit(
             heap, one = heaps[step.level[i]], slice(i, i + 1)
             state = before[one].copy()
             row = -noise[i], state["time"], state, step.actions[one], step.rewards[one]
-            is_full = len(heap) == per_episode
-            (heapq.heappushpop if is_full else heapq.heappush)(heap, row)
+            (heapq.heappushpop if len(heap) == per_episode else heapq.heappush)(heap, row)
             if len(heap) == per_episode:
                 limit[step.level[i]] = -heap[0][0][0]
     rows = [row for heap in heaps for row in sorted(heap, key=lambda row: row[1])]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from gymnasium.spaces import Discrete
 
 from astray.imports import guarded
 from astray.validation import shown
@@ -63,6 +64,21 @@ def paid(reward: Reward, step: Step) -> np.ndarray:
             f"{shown(found)}"
         )
     return found.astype(np.float64)
+
+
+def choices(who: str, chosen: Any, n: int, space: Discrete) -> np.ndarray:
+    """Return actions [n] int64; raise ValueError, naming the policy `who`, if any is invalid."""
+    chosen, low, high = np.asarray(chosen), int(space.start), int(space.start + space.n) - 1
+    if chosen.shape != (n,) or not np.issubdtype(chosen.dtype, np.integer):
+        raise ValueError(
+            f"{who} must return integers [{n}], an action for each observation; got "
+            f"{chosen.dtype} of shape {chosen.shape}"
+        )
+    if n and (chosen.min() < low or chosen.max() > high):
+        raise ValueError(
+            f"actions of {who} must be from {low} to {high}; got {chosen.min()} to {chosen.max()}"
+        )
+    return chosen.astype(np.int64)  # few bits overflow where an environment computes with them
 
 
 def rows(memory: Any, kept: np.ndarray) -> Any:

@@ -13,13 +13,13 @@ from copy import deepcopy
 from functools import cache, partial
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from astray.envs.inturn import InTurn
+from astray.envs.steps import choices
 from astray.envs.watch import Watch
 from astray.game import OWN
 from astray.validation import MOST, bounded, shown
@@ -54,7 +54,9 @@ class WorldVectorEnv:
         self._envs: Any = None
         watch = Watch(world.patience, f"an environment of {self.variant}")
         with self._watched():
-            self._envs = _forked(makers) if world.workers else InTurn(makers, NOTED, watch)
+            self._envs = (
+                _forked(makers, self.variant) if world.workers else InTurn(makers, NOTED, watch)
+            )
         self._amid = False  # whether processes were asked, and not all answered
         self.single_action_space = self._envs.single_action_space
         self.single_observation_space = self._envs.single_observation_space
@@ -180,18 +182,7 @@ class WorldVectorEnv:
     def _check_actions(self, actions: Any) -> None:
         space, n = self.single_action_space, self.num_envs
         if isinstance(space, spaces.Discrete):
-            last = space.start + space.n - 1
-            chosen = np.asarray(actions)
-            if chosen.shape != (n,) or chosen.dtype.kind not in "iu":
-                raise ValueError(
-                    f"a policy must return integers [{n}], an action for each environment; got "
-                    f"{chosen.dtype} of shape {chosen.shape}"
-                )
-            if chosen.min() < space.start or chosen.max() > last:
-                raise ValueError(
-                    f"actions in {self.variant} must be from {space.start} to {last}; got "
-                    f"{chosen.min()} to {chosen.max()}"
-                )
+            choices("a policy", actions, n, space)
         elif np.shape(actions)[:1] != (n,) or not all(
             space.contains(np.asarray(one, space.dtype)) for one in actions
         ):
@@ -227,11 +218,15 @@ class WorldVectorEnv:
             self._envs.closed = True  # to Gymnasium, which would wait for what is pending
 
 
-def _forked(makers: Sequence[Callable[[], gymnasium.Env]]) -> AsyncVectorEnv:
+def _forked(makers: Sequence[Callable], variant: WorldVariant) -> AsyncVectorEnv:
     """Return environments with a process each; signals wait until all processes have begun.
 
     An error that a signal raises amid a fork is ignored by Python.
     """
+    if multiprocessing.get_start_method() == "forkserver":  # as on Linux from Python 3.14 on
+        # It imports once what each process would import, which takes a second.
+        factory: Any = getattr(variant.factory, "func", variant.factory)
+        multiprocessing.set_forkserver_preload(["__main__", __name__, str(factory.__module__)])
     parent, waiting = os.getpid(), []
 
     def wait(number: int, _: object) -> None:
