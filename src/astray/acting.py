@@ -23,6 +23,7 @@ from astray import world
 from astray.envs.beginnings import Levels as Levels
 from astray.envs.beginnings import beginnings, without_autoreset
 from astray.envs.beginnings import initial_states as initial_states
+from astray.envs.pool import usable_processors
 from astray.envs.steps import Reward as Reward
 from astray.envs.steps import Step as Step
 from astray.envs.steps import check_rows, choices, rows
@@ -345,6 +346,8 @@ def steps(
     bounded("batch", batch, 1, MOST)
     check_ending(game, variant, longest)
     n = min(int(batch), count)
+    if isinstance(game, World) and game.workers and game.level_key is None:
+        n = min(n, 2 * usable_processors())  # more processes take memory, and no less time
     env = without_autoreset(game, variant, n, policy.observation, policy.art, longest)
     silent = longest is None and not 0 < env.variant.time_limit <= SHORT  # a World's is 0
     yield from telling(policy, LevelByLevel(env, levels, until, longest), count, silent)
@@ -366,15 +369,12 @@ def telling(policy: Policy, stage: LevelByLevel, count: int, silent: bool) -> It
             yield step
 
 
-def check_ending(
-    game: str | Game | World, variant: str | Variant | WorldVariant, longest: int | None
-) -> None:
+def check_ending(game: str | Game | World, variant: Any, longest: int | None) -> None:
     """Raise ValueError if episodes of a variant may last for ever and `longest` is None."""
     if longest is not None:
         bounded("longest", longest, 1, MOST)
         return
-    given: Any = variant
-    limit = world.find(game).variant(given).time_limit
+    limit = world.find(game).variant(variant).time_limit
     if limit > LASTING:
         raise ValueError(_endless(f"episodes of this variant last up to {limit:,}", REMEDY))
 

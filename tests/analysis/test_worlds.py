@@ -28,6 +28,7 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import evaluate_policies
 from astray.envs import worlds
+from astray.envs.pool import usable_processors
 from astray.envs.worlds import WorldVectorEnv, check_repeats
 from astray.game import More, Never
 from helpers.processes import environment
@@ -408,6 +409,20 @@ def test_a_server_of_forks_imports_a_world_once_for_all_its_processes(tmp_path):
         command, env=environment(PYTHONPATH=paths), capture_output=True, text=True
     )
     assert sorted(done.stdout.split("\n")) == ["", "[0 0 0 0]", "imported", "imported"], done.stderr
+
+
+def test_two_processes_a_processor_play_at_a_time():
+    """256 took 14 GB and minutes to begin where processes do not fork, and no less time to play."""
+    asked = []
+
+    def right(seen):
+        asked.append(len(seen))
+        return np.ones(len(seen), int)
+
+    most = 2 * usable_processors()
+    levels = np.arange(2 * most + 1)
+    apart = evaluate(Function(right, "right"), replace(WORLD, workers=True), "anywhere", levels)
+    assert max(asked) == most and apart.equals(evaluate(RIGHT, WORLD, "anywhere", levels))
 
 
 class Below(Room):

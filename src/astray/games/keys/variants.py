@@ -1,7 +1,7 @@
 """The level distributions of Keys and Chests, and the shifts between them."""
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal
 
 from astray.game import Shift, Variant
 from astray.games.keys.rules import LARGEST, MOST
@@ -9,7 +9,6 @@ from astray.kernel.maze import AS_NUMBERED, check_sizes
 from astray.validation import finite
 
 Inventory = Literal["upper-right", "upper-left", "lower-right", "lower-left", "hidden"]
-INVENTORIES = get_args(Inventory)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """Observations of keys and chests, in pictures and in symbols."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from astray.envs.vector import GameVectorEnv
 from astray.games.keys import GAME
 from astray.games.keys.draw import ART, STRIPS
 from astray.games.keys.rules import CHEST, KEY
-from astray.games.keys.variants import INVENTORIES, VARIANTS
+from astray.games.keys.variants import VARIANTS, Inventory
 from astray.kernel.maze import FLOORS, WALL
 
+INVENTORIES = get_args(Inventory)
 MANY_KEYS = VARIANTS["many-keys"]
 
 
