@@ -198,6 +198,7 @@ DEEP = b"\x91" * 900 + b"\xc0"  # more than Python prints
          "fits no network"),
         (b"\x82\xa10\x80\xa11\x83\xa10\x81\xa6params" + b"\x81\xa1a" * 1000
          + b"\x01\xa11\x80\xa12\x80", "without parameters"),
+        (other("0", "Dense_0/kernel", weights=np.zeros((128, 256), "f4")), "without parameters"),
         (cleanba((2, 2, 2))[0].replace(b"ConvSequence_2", b"ConvSequence_3"), "does not"),
         (cleanba((2, 2, 2))[0].replace(b"ResidualBlock_1", b"ResidualBlock_0"), "lacks"),
     ],
@@ -372,6 +373,36 @@ def test_names_of_weights_that_torch_takes_for_one_are_refused():
             archive.writestr(f"archive/data/{key}", bytes(4000))
     with pytest.raises(ValueError, match="or have one name"):
         pth.read(file.getvalue())
+
+
+def old_file(state, keys):
+    """A file of torch before 1.6 that has the numbers of these weights alone."""
+    torch.save(state, file := io.BytesIO(), _use_new_zipfile_serialization=False)
+    begin, _, numbers = file.getvalue().rpartition(b"\x80\x02]")
+    assert numbers
+    return begin + pickle.dumps(keys, 2) + numbers[numbers.index(b".") + 1 :]
+
+
+def test_weights_without_numbers_are_refused():
+    """Torch leaves them as what was in its memory before."""
+    state = reference((2, 2, 2))[0]
+    with pytest.raises(ValueError, match="its weights are more than the file holds"):
+        pth.read(old_file(state, []))
+
+
+def test_an_archive_with_two_parts_of_one_name_is_refused():
+    with zipfile.ZipFile(file := io.BytesIO(changed()), "a") as archive:
+        name = next(one for one in archive.namelist() if one.endswith("/data/0"))
+        with pytest.warns(UserWarning, match="Duplicate name"):
+            archive.writestr(name, bytes(len(archive.read(name))))
+    with pytest.raises(ValueError, match="its parts overlap"):
+        pth.read(file.getvalue())
+
+
+def test_an_object_that_is_made_without_a_call_is_no_dictionary():
+    hidden = b"}X\3\0\0\0getK\1sb."
+    with pytest.raises(ValueError, match="it makes an object of 'collections OrderedDict'"):
+        pth.read(archived(b"\x80\2ccollections\nOrderedDict\n)\x81" + hidden))
 
 
 @pytest.mark.parametrize("name", ["get", "keys"])

@@ -120,7 +120,7 @@ HOSTILE = {
         "a tuple where a str belongs"),
     "a name of shared tuples": (b"\x80\x04" + 2 * SHARED + b"\x93.", "a tuple where a str belongs"),
     "numbers of shared tuples": (
-        b"\x80\x03cnumpy\ndtype\n" + SHARED + b"\x85R.", r"a type of numbers is \(\("),
+        b"\x80\x03cnumpy\ndtype\n" + SHARED + b"\x85R.", "a tuple where a str belongs"),
     "an order of shared tuples": (
         b"\x80\x03cnumpy\ndtype\n(cnumpy\ndtype\nX\x02\0\0\0f4\x85R(K\x03" + SHARED
         + b"tbtR.", "a tuple where a str belongs"),

@@ -96,9 +96,13 @@ def test_a_damaged_checkpoint_is_refused(tmp_path):
 @pytest.mark.parametrize(
     "place, shape, why",
     [
-        ("dense_list_0/kernel", (2**31, 0), "cells a side must be an integer from 1 to 1000"),
+        ("dense_list_0/kernel", (2**31, 0), "numbers of its fences must be .* from 1 to 10000000"),
+        ("dense_list_0/kernel", (4 * 1000**2, 0), "numbers of its fences must be"),
+        ("cell_list_0/fence/kernel", (2000, 1, 1, 16), "size of its fence .* from 1 to 20; got 20"),
+        ("cell_list_0/fence/kernel", (3, 3, 1, 16_000), r"fence is \(3, 3, 1, 16000\), and a kern"),
+        ("cell_list_0/fence/kernel", (3, 3, 0, 16), r"its fence is \(3, 3, 0, 16\)"),
         ("cell_list_0/project", (1, 30_000), r"pools has the weights \(1, 30000\)"),
-        ("cell_list_0/hh/kernel", (1, 1, 2**40, 0), "channels must be an integer from 1 to 1000"),
+        ("cell_list_0/hh/kernel", (1, 1, 2**40, 0), "numbers of its fences must be"),
     ],
 )
 def test_numbers_that_a_checkpoint_promises_take_no_memory(tmp_path, place, shape, why):

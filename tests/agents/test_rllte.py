@@ -104,10 +104,15 @@ def changed(model, change):
     "change, message",
     [
         (lambda m: setattr(m.encoder.trunk[0].main[2].relu, "inplace", False), "work in place"),
+        (lambda m: m.encoder.trunk.__setitem__(5, nn.Tanh()), "trunk.5 is a Tanh, which its netw"),
+        (
+            lambda m: m.encoder.trunk[1].main.__setitem__(1, nn.AvgPool2d(3, 2, 1)),
+            r"trunk\.1\.main\.1 is a AvgPool2d, which its network does not have",
+        ),
         (lambda m: setattr(m.actor, "actor", nn.Linear(256, 9)), "chooses from 9 actions"),
         (lambda m: setattr(m.encoder.trunk[4], "bias", None), "lacks features.linear.bias"),
         (lambda m: m.encoder.add_module("other", nn.Linear(2, 2)), "has encoder.other"),
-        (lambda m: setattr(m.actor, "actor", nn.Sequential()), "no actor of one layer"),
+        (lambda m: setattr(m.actor, "actor", nn.Sequential()), "no policy of one layer"),
         (
             lambda m: [setattr(m.encoder, f"w{k}", m.encoder.trunk[4].weight) for k in range(3)],
             "its weights are more than the file holds",
@@ -201,7 +206,7 @@ SHARED = b"K\1" + b"q\0h\0\x86" * 30  # a tuple of itself twice, thirty times ov
         (module(MANY, b"}"), "more than 200 modules and parameters"),
         (
             START[2:] + b")\x81cnumpy\ndtype\ncown\nClass\n)\x81" + SHARED + b"b\x85R",
-            "is <.*Foreign",
+            "a Foreign where a str belongs",
         ),
     ],
     ids=["a long name", "modules", "parameters", "an object of shared tuples"],

@@ -20,7 +20,7 @@ def opened(data: bytes) -> Iterator[tuple[zipfile.ZipFile, str, bytes]]:
 
     Raises:
         ValueError: If it is damaged, also where it is read later, or if its parts could be of any
-            size: they are compressed, overlap, or are too many.
+            size: they are compressed, overlap, have one name, or are too many.
     """
     try:
         files.check_members(data)
@@ -28,7 +28,8 @@ def opened(data: bytes) -> Iterator[tuple[zipfile.ZipFile, str, bytes]]:
             parts = archive.infolist()
             if any(one.compress_type != zipfile.ZIP_STORED for one in parts):
                 raise ValueError("it is compressed, which files of torch are not")
-            if sum(one.file_size for one in parts) > len(data):
+            sizes = {one.filename: one.file_size for one in parts}
+            if sum(sizes.values()) > len(data) or len(sizes) < len(parts):
                 raise ValueError("it is damaged, or not a file of torch: its parts overlap")
             found = [one for one in parts if one.filename.endswith(PICKLE)]
             if len(found) != 1:

@@ -47,8 +47,6 @@ def read(data: bytes) -> Imported:
         case _:
             raise ValueError("it holds no settings and three modules, as cleanba's files do")
     tensors = dict(_tensors(modules))
-    if "policy.bias" not in tensors:
-        raise ValueError("it has no policy, Dense_0 of its second module")
     told = {str(name): value for name, value in told.items() if isinstance(value, Plain)}
     ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there) is not None}
     more = _world(told.get("env_id")), ours, told
@@ -101,7 +99,8 @@ def _tensors(modules: Mapping[str, Any]) -> Iterator[tuple[str, Tensor]]:
 
 def leaves(tree: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
     """Yield the arrays of a tree with their paths; raise ValueError for anything else."""
-    if isinstance(tree, dict) and tree and len(path) < DEEPEST:
+    is_clear = isinstance(tree, dict) and "/" not in "".join(map(str, tree))
+    if is_clear and tree and len(path) < DEEPEST:
         for name, branch in tree.items():
             yield from leaves(branch, (*path, str(name)))
     elif isinstance(tree, np.ndarray) and path:

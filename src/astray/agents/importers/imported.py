@@ -70,7 +70,9 @@ def of_procgen(
     Raises:
         ValueError: If they do not fit, or are for other actions than Procgen's 15.
     """
-    policy = next(tensor for name, tensor in tensors.items() if POLICY.fullmatch(name))
+    policy = next((t for name, t in tensors.items() if POLICY.fullmatch(name)), None)
+    if policy is None:
+        raise ValueError("it has no policy of one layer, as agents of images have")
     if policy.ndim and (count := len(policy)) != ACTIONS:
         why = ", of CoinRun as it was before Procgen" if count in (7, 9) else ""
         raise ValueError(f"its policy chooses from {count} actions{why}; Procgen has {ACTIONS}")

@@ -48,8 +48,6 @@ def read(data: bytes) -> Imported:
     if told.get("use_lstm"):
         raise ValueError("it is a recurrent agent; only feed-forward ones are read")
     weights = _weights(found["params"])
-    if "policy.bias" not in weights:
-        raise ValueError(f"it has no policy, {SCOPE}pi/b")
     ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there) is not None}
     if not ours.get("levels"):  # Procgen's 0, and what is not set, mean: all levels there are
         ours.pop("levels", None)

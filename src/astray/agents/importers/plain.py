@@ -104,10 +104,6 @@ class _Dtype:
     kind: str
     order: str = "="
 
-    def __post_init__(self) -> None:
-        if type(self.kind) is not str:
-            raise ValueError(f"a type of numbers is {shown(self.kind)}")
-
     def numpy(self) -> np.dtype:
         if not KINDS.fullmatch(self.kind) or self.order not in "<>=|":
             raise Refused(f"it has an array of {shown(self.kind)}; only arrays of numbers are read")
@@ -261,7 +257,7 @@ def _reduce(m: _Machine) -> None:
     """Return the result of a call, for the names that stand for plain data."""
     arguments, name = m.stack.pop(), m.stack.pop()
     if name == _Name(DTYPE):
-        m.stack.append(_Dtype(arguments[0]))
+        m.stack.append(_Dtype(_of(str, arguments[0])))
     elif name == _Name(BYTES) and arguments[1:] == ("latin1",):
         text = _of(str, arguments[0])
         m.spend(len(text) // 8)  # as many bytes as numbers that are eight each
@@ -309,12 +305,10 @@ def _stored(storage: Storage, described: Any) -> np.ndarray | None:
 
 def _new(m: _Machine) -> None:
     arguments, name = m.stack.pop(), m.stack.pop()
-    if m.storage and isinstance(name, _Name):
-        m.stack.append(Foreign(name.path))
-        return
-    if name != _Name(WRAPPER) or arguments != ():
+    is_foreign = m.storage and not m.names and isinstance(name, _Name)  # not of weights
+    if not is_foreign and (name != _Name(WRAPPER) or arguments != ()):
         raise Refused(f"it makes an object of {shown(getattr(name, 'path', name))}")
-    m.stack.append(_Pending())
+    m.stack.append(Foreign(name.path) if is_foreign else _Pending())
 
 
 def _build(m: _Machine) -> None:

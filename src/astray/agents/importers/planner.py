@@ -38,8 +38,8 @@ ONLY = {  # settings that are read with one value only
     "pool_projection": "per-channel", "output_activation": "tanh",
 }  # fmt: skip
 CELL, DENSE = "network_params/cell_list", "network_params/dense_list_0"
-DEEPEST = 20  # layers, and ticks
-MOST = 1000  # channels, and cells a side, which a file could promise without a number
+DEEPEST = 20  # layers, ticks, and cells a side of a fence
+MOST = 10_000_000  # numbers of fences, which a file could promise without a number
 GATES = (1, 2, 0, 3)  # theirs are new, into, forget, out; ours into, forget, new, out
 WRONG = (ValueError, TypeError, AttributeError, IndexError, ArithmeticError, RuntimeError)
 
@@ -121,8 +121,8 @@ def _converted(net: dict[str, Any], left: dict[str, Tensor]) -> tuple[int, dict[
     """Return the cells a side, and the weights by our names; they are taken out of `left`."""
     channels = left[f"{CELL}_0/hh/kernel"].shape[2]
     dense, found = left.pop(f"{DENSE}/kernel"), {"features.linear.bias": left.pop(f"{DENSE}/bias")}
-    bounded("channels", channels, 1, MOST)
-    bounded("cells a side", side := math.isqrt(len(dense) // channels), 1, MOST)
+    side, gates = math.isqrt(len(dense) // max(channels, 1)), 4 * channels
+    bounded("numbers of its fences", gates * side**2 * net["n_recurrent"], 1, MOST)
     for k in range(len(net["embed"])):
         at, here = f"network_params/conv_list_{k}", f"encoder.conv{k + 1}"
         found[f"{here}.weight"] = left.pop(f"{at}/kernel").permute(3, 2, 0, 1)
@@ -130,10 +130,13 @@ def _converted(net: dict[str, Any], left: dict[str, Tensor]) -> tuple[int, dict[
     for d in range(net["n_recurrent"]):
         at, here = f"{CELL}_{d}", f"layers.{d}"
         seen, own, fence = (left.pop(f"{at}/{name}/kernel") for name in ("ih", "hh", "fence"))
+        bounded("the size of its fence", size := len(fence), 1, DEEPEST)
+        if {fence.shape[1::2], own.shape[1::2]} != {(size, gates)} or not fence.numel():
+            raise ValueError(f"its fence is {tuple(fence.shape)}, and a kernel {tuple(own.shape)}")
         parts = seen[:, :, : 2 * channels], own, seen[:, :, 2 * channels :]  # pooled are last
         found[f"{here}.gates.weight"] = _in_order(torch.cat(parts, 2)).permute(3, 2, 0, 1)
         found[f"{here}.gates.bias"] = _in_order(left.pop(f"{at}/ih/bias"))
-        inside = torch.zeros(1, 1, side + len(fence) - 3, side + len(fence) - 3)
+        inside = torch.zeros(1, 1, side + size - 3, side + size - 3)
         kernel = _in_order(fence).sum(2, keepdim=True).permute(3, 2, 0, 1)
         plane = functional.pad(inside, (1, 1, 1, 1), value=1.0)
         found[f"{here}.gates.fence"] = functional.conv2d(plane, kernel)

@@ -129,7 +129,8 @@ def _checked(data: bytes) -> io.BytesIO:
     if not data.startswith(b"PK"):  # as torch wrote them before 1.6: pickles, then the weights
         file = io.BytesIO(data)
         *_, keys = [plain.read(file, noted, MADE_OF) for _ in range(OLD_PICKLES)]
-        if type(keys) is not list or {*map(type, keys)} - {str} or sum(asked.values()) > len(data):
+        is_whole = type(keys) is list and {*map(type, keys)} <= {str} and {*keys} == asked.keys()
+        if not is_whole or sum(asked.values()) > len(data):  # what is not a key is not filled
             raise ValueError("its weights are more than the file holds, or have no names")
         return io.BytesIO(data)
     kept = io.BytesIO()

@@ -19,6 +19,7 @@ from astray.agents.importers.imported import Imported, impala, rename
 MARK = b"crllte.common.utils\nExportModel\n"  # with which its pickles begin, after two bytes
 FLOATS, LITTLE = "torch FloatStorage", b"little"
 DEEPEST, MOST = 8, 200  # modules in each other, and modules and parameters in all
+SILENT = ("ReLU", "MaxPool2d", "Flatten", "Identity", "Sequential")  # are without parameters
 LONGEST = 100  # characters of a name; those of the network have 10
 NAMES = (
     (r"^encoder\.trunk\.4\.", "features.linear."), (r"^actor\.actor\.", "policy."),
@@ -47,8 +48,6 @@ def read(data: bytes) -> Imported:
     if sum(array.nbytes for _, array in found) > len(data):
         raise ValueError("its weights are more than the file holds")
     tensors = {rename(name, NAMES): torch.from_numpy(array.copy()) for name, array in found}
-    if "policy.bias" not in tensors:
-        raise ValueError("it has no actor of one layer, as agents of images have")
     tensors |= {"value.weight": torch.zeros(1, 256), "value.bias": torch.zeros(1)}
     return impala("impala-rectified", tensors, "RLLTE", note="; without a critic: every value is 0")
 
@@ -79,6 +78,8 @@ def _parameters(root: Any) -> Iterator[tuple[str, np.ndarray]]:
         own, inner = _dict(state, "_parameters"), _dict(state, "_modules")
         if (left := left - len(own) - len(inner)) < 0:
             raise ValueError(f"it has more than {MOST} modules and parameters")
+        if not own and not inner and (kind := module.path.rpartition(" ")[2]) not in SILENT:
+            raise ValueError(f"{path[:-1]} is a {kind[:LONGEST]}, which its network does not have")
         if path.endswith(".relu.") and state.get("inplace") is not True:
             raise ValueError(f"{path[:-1]} does not work in place, as that of its network does")
         for name, value in own.items():
