@@ -386,29 +386,39 @@ MANY = """
 import multiprocessing
 import numpy as np
 
-if __name__ == "__main__":
-    multiprocessing.set_start_method("forkserver")
+if __name__ in ({names!r}):
+    multiprocessing.set_start_method({how!r}, force=True)
     from astray.envs.worlds import WorldVectorEnv
     from counted import LAKE
     env = WorldVectorEnv(LAKE, "map", 4)
-    print(env.reset(options={"level": np.arange(4)})[0], flush=True)
+    print(env.reset(options={{"level": np.arange(4)}})[0], flush=True)
     env.close()
 """
+FRESH = [one for one in multiprocessing.get_all_start_methods() if one != "fork"]
 
 
-@pytest.mark.skipif(
-    "forkserver" not in multiprocessing.get_all_start_methods(), reason="there is no such server"
-)
-def test_a_server_of_forks_imports_a_world_once_for_all_its_processes(tmp_path):
-    """Each took a second and more, and an evaluation has hundreds."""
-    (tmp_path / "counted.py").write_text(COUNTED)
-    (tmp_path / "many.py").write_text(MANY)
-    paths = os.pathsep.join([str(tmp_path), environment()["PYTHONPATH"]])
-    command = [sys.executable, tmp_path / "many.py"]
-    done = subprocess.run(
+def begun(folder, how, *names):
+    """A script that begins environments in processes where it has one of the names."""
+    (folder / "counted.py").write_text(COUNTED)
+    (folder / "many.py").write_text(MANY.format(how=how, names=names))
+    paths = os.pathsep.join([str(folder), environment()["PYTHONPATH"]])
+    command = [sys.executable, folder / "many.py"]
+    return subprocess.run(
         command, env=environment(PYTHONPATH=paths), capture_output=True, text=True
     )
+
+
+@pytest.mark.skipif("forkserver" not in FRESH, reason="there is no such server")
+def test_a_server_of_forks_imports_a_world_once_for_all_its_processes(tmp_path):
+    """Each took a second and more, and an evaluation has hundreds."""
+    done = begun(tmp_path, "forkserver", "__main__")
     assert sorted(done.stdout.split("\n")) == ["", "[0 0 0 0]", "imported", "imported"], done.stderr
+
+
+@pytest.mark.parametrize("how", FRESH)
+def test_a_script_that_begins_processes_where_it_is_imported_is_told(tmp_path, how):
+    done = begun(tmp_path, how, "__main__", "__mp_main__")
+    assert "died, as from a script without `if __name__ == '__main__':`" in done.stderr
 
 
 def test_two_processes_a_processor_play_at_a_time():

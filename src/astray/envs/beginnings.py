@@ -12,7 +12,7 @@ from astray.game import OWN, Game, Variant
 from astray.level import Level
 from astray.record import level_numbers
 from astray.validation import of_kind
-from astray.world import World, WorldVariant
+from astray.world import World
 
 Levels = Sequence[int] | np.ndarray | range | Mapping[str, Level]
 CHUNK = 1000  # levels begun at once
@@ -20,7 +20,7 @@ CHUNK = 1000  # levels begun at once
 
 def without_autoreset(
     game: str | Game | World,
-    variant: str | Variant | WorldVariant,
+    variant: Any,
     n: int,
     observation: Any,
     art: str = OWN,
@@ -29,7 +29,6 @@ def without_autoreset(
     """Return `n` environments of a game or a `World`, in which a reset alone begins an episode."""
     if isinstance(game, World):
         return WorldVectorEnv(game, game.variant(variant), n, longest)
-    assert not isinstance(variant, WorldVariant)
     return GameVectorEnv(
         game, variant, n, observation=observation, art=art, autoreset_mode="Disabled"
     )

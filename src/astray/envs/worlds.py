@@ -29,6 +29,7 @@ from astray.world import World, WorldVariant
 _tell = cache(logging.getLogger("astray").warning)  # each text once
 # Gymnasium's warnings of an error in a process, which it also raises, and of an interrupt.
 RECEIVED = r"(?s).*(ERROR: (Received the following|Traceback|Raising the last)|Calling `close`)"
+UNGUARDED = ", as from a script without `if __name__ == '__main__':` where processes do not fork"
 
 
 class WorldVectorEnv:
@@ -206,7 +207,8 @@ class WorldVectorEnv:
             ) from error
         except (EOFError, ConnectionError) as error:
             self._give_up()
-            raise RuntimeError(f"the process of an environment of {self.variant} died") from error
+            told = f"the process of an environment of {self.variant} died"
+            raise RuntimeError(told if self._envs else told + UNGUARDED) from error
 
     def _kill(self) -> None:
         for process in self._envs.processes:
