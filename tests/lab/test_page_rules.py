@@ -285,6 +285,8 @@ OF_COMPILED = {  # what integers of few bits are there; interpreted ones are ref
     "put(s.row, 257)\n put(s.b, 2.9)\n return s.row[1] + 10 * s.b[1]": 21,
     "x, y = s.b, swap(s.row, 3)[1]\n x[0], y[0] = 2.9, 257\n return s.row[0] + 10 * s.b[0]": 21,
     "x = np.full((1, 2), 2.9, np.int64)\n y = x[0]\n y[1] = 1.5\n return x[0, 0] + 9 * y[1]": 11,
+    "s.u = np.uint64(300)\n s.i = np.uint64(70000)\n return s.u + 1000 * s.i": 4464044,
+    "x = s.a + 1e308 * 10\n return (3 if x - x else 4) + bool(x - x)": 4,  # NaN is true
     # of 32 bits
     "put(s.c, 0.1)\n return s.c[1]": 0.10000000149011612,
     "s.c[:] = 0.1\n return s.c[2]": 0.10000000149011612,
@@ -318,6 +320,7 @@ def test_a_page_copies_what_kernels_may_write_to_by_another_name(tmp_path):
     [
         "s.a = 3000000000\n return s.a * s.a",
         "return 1 << (s.a + 60)",
+        "x = 3\n for k in range(58):\n  x = x + x + 1\n return x",
         "s.u = 1\n return s.row[0] - s.u",  # without a sign
     ],
 )

@@ -23,7 +23,7 @@ from astray.validation import shown
 # What the page has itself: Python's functions -> JavaScript's, as "name" or "Math.name".
 OWN = {grid.where: "where", copy_flat: "fill", fill_flat: "fill"}
 BUILT_IN: dict[Any, str] = {
-    abs: "Math.abs", min: "Math.min", max: "Math.max", int: "Math.trunc", bool: "Boolean",
+    abs: "Math.abs", min: "Math.min", max: "Math.max", int: "Math.trunc", bool: "yes",
     np.sign: "Math.sign", np.int64: "Math.trunc", np.floor: "Math.floor", np.ceil: "Math.ceil",
     np.sqrt: "Math.sqrt", np.float32: "Math.fround", np.float64: "Number", np.uint64: "wide",
 }  # fmt: skip
@@ -311,7 +311,7 @@ class _Function:
             return ""
         kinds = [*map(self._part, args)]
         if function is np.sqrt:
-            return SINGLE if kinds[0] in (SINGLE, *TINY) else ""
+            return SINGLE if kinds[0] in (SINGLE, "uint16", *TINY) else ""
         kind = functools.reduce(functools.partial(_combined, ast.Add), kinds)
         return "" if function is int and kind == SINGLE else kind
 
@@ -373,7 +373,7 @@ class _Function:
                     return f"Math.fround({text})"
                 if isinstance(op, ast.Sub) and self._kind(node):  # of two that are NATURAL
                     return f"natural{text}"
-                return f"exact{text}" if isinstance(op, ast.Mult) else text
+                return f"exact{text}" if isinstance(op, ast.Add | ast.Mult | ast.Sub) else text
             case ast.Compare(ops=ops, comparators=several) if not any(map(_calls, several[:-1])):
                 sides = [self.of(side) for side in (node.left, *several)]
                 parts = zip(sides, map(type, ops), sides[1:], strict=False)
@@ -473,9 +473,9 @@ def _cast(field: np.dtype | None, kind: str, text: str) -> str:
     of = field.base if field else np.dtype(object)
     if of == np.float32:
         return text if kind == SINGLE else f"Math.fround({text})"
-    if of.kind in "iu" and of.itemsize < 8 and kind != WIDE:
+    if of.kind in "iu" and of.itemsize < 8:
         return f"kept({text}, {of.itemsize * (8 if of.kind == 'u' else -8)})"
-    casts = {"i": "Math.trunc", "u": "Math.trunc", "b": "Boolean", "f": "Number"}
+    casts = {"i": "Math.trunc", "u": "Math.trunc", "b": "yes", "f": "Number"}
     return f"{'Number' if field and kind == WIDE else casts.get(of.kind, '')}({text})"
 
 
