@@ -1,6 +1,7 @@
 """Safe files: bounded reads, atomic writes, locks, and removal of astray's own files alone."""
 
 import contextlib
+import multiprocessing
 import os
 import re
 import shutil
@@ -19,6 +20,7 @@ LOCK = ".lock"  # the file by which a process holds a folder
 ROOM = 2**20  # bytes that a disk must have left before the work whose results it gets
 MEMBERS = 20_000  # of an archive; the wheel of Procgen has some 1,000
 LARGEST = 2**32  # bytes of a file that is read; none of astray's comes near
+UNGUARDED = ", as of a script without `if __name__ == '__main__':` where processes do not fork"
 
 
 def read(path: Path, most: int = LARGEST) -> bytes:
@@ -183,7 +185,10 @@ def hold(folder: Path, doing: str, wait: bool = True) -> Iterator[None]:
 
     Raises:
         filelock.Timeout: If another process holds the lock and `wait` is False.
+        RuntimeError: If this process still imports the script that began it, and waits for it.
     """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise RuntimeError(f"{folder} is held by the process that began this one{UNGUARDED}")
     made = make_folder(folder)
     lock = FileLock(folder / LOCK)
     try:

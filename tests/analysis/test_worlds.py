@@ -418,7 +418,7 @@ def test_a_server_of_forks_imports_a_world_once_for_all_its_processes(tmp_path):
 @pytest.mark.parametrize("how", FRESH)
 def test_a_script_that_begins_processes_where_it_is_imported_is_told(tmp_path, how):
     done = begun(tmp_path, how, "__main__", "__mp_main__")
-    assert "died, as from a script without `if __name__ == '__main__':`" in done.stderr
+    assert "died, as of a script without `if __name__ == '__main__':`" in done.stderr
 
 
 def test_two_processes_a_processor_play_at_a_time():

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +25,7 @@ from astray.lab import export as exporting
 from astray.lab import serving
 from astray.lab.serving import make_lab
 from astray.training import folders
+from helpers.processes import environment
 from helpers.trainings import TINY
 
 MAZE = games.find("maze")
@@ -324,3 +327,19 @@ def test_a_folder_without_room_is_refused_before_a_level_is_looked_for(
 def test_a_solver_that_has_no_event_to_walk_to_is_refused_with_the_reason(astray, game, variant):
     words = ("train", game, variant, "--teacher", "solver")
     assert f"there are: none in {game}" in astray(*words, fails=True)
+
+
+def test_a_script_that_the_processes_of_its_trainings_import_does_not_wait_for_itself(tmp_path):
+    """It waited for ever, for the folder that the script held which waited for its processes."""
+    script = 'import astray; astray.reproduce("maze-corner", "smoke", "out", workers=1)'
+    (tmp_path / "bare.py").write_text(script)
+    done = subprocess.run(
+        [sys.executable, "bare.py"],
+        cwd=tmp_path,
+        env=environment(),
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=120,
+    )
+    told = "the process of a training died, as of a script without `if __name__ == '__main__':`"
+    assert told in done.stderr and "is held by the process that began this one" in done.stderr

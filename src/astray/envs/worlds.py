@@ -21,6 +21,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 from astray.envs.inturn import InTurn
 from astray.envs.steps import choices
 from astray.envs.watch import Watch
+from astray.files import UNGUARDED
 from astray.game import OWN
 from astray.validation import MOST, bounded, shown
 from astray.witness import NOTED, witnessed
@@ -29,7 +30,6 @@ from astray.world import World, WorldVariant
 _tell = cache(logging.getLogger("astray").warning)  # each text once
 # Gymnasium's warnings of an error in a process, which it also raises, and of an interrupt.
 RECEIVED = r"(?s).*(ERROR: (Received the following|Traceback|Raising the last)|Calling `close`)"
-UNGUARDED = ", as from a script without `if __name__ == '__main__':` where processes do not fork"
 
 
 class WorldVectorEnv:

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -24,6 +25,7 @@ from astray import world
 from astray.envs.pool import usable_processors
 from astray.experiments.cluster import Submit, on_ray
 from astray.experiments.spec import Place
+from astray.files import UNGUARDED
 from astray.training import checkpoint
 from astray.training.config import Config, Tracking
 from astray.training.log import METRICS, measured
@@ -82,7 +84,7 @@ def expected(todo: Mapping[Path, Config], speed: int, workers: int | None = None
 
 @contextlib.contextmanager
 def in_processes(count: int) -> Iterator[Submit]:
-    """Run trainings in a pool of `count` processes."""
+    """Run trainings in a pool of `count` processes; raise RuntimeError if one of these dies."""
     # Spawned, not forked: torch's and the environments' threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
     # They end once it closes. An event would wait for an answer, also of those that were killed.
@@ -90,6 +92,8 @@ def in_processes(count: int) -> Iterator[Submit]:
     with there, here, ProcessPoolExecutor(count, context, _begin, (there,)) as pool:
         try:
             yield functools.partial(_submit, pool)
+        except BrokenProcessPool as error:
+            raise RuntimeError(f"the process of a training died{UNGUARDED}") from error
         except Exception as error:  # of one training; those that have begun go on to their end
             print(f"a training failed, and others go on: {error}", file=sys.stderr, flush=True)
             try:

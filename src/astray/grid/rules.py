@@ -68,21 +68,12 @@ def any_empty(s):
 
 
 @kernel
-def scatter(s, code, count):
-    """Put `count` things of a code into random empty cells."""
+def scatter(s, layer, code, count):
+    """Put `count` things or movers of a code into random empty cells of `s.cell` or `s.mover`."""
     side = s.cell.shape[0]
     for _ in range(count):
         i = any_empty(s)
-        s.cell[i // side, i % side] = code
-
-
-@kernel
-def scatter_movers(s, code, count):
-    """Put `count` movers of a code into random empty cells."""
-    side = s.cell.shape[0]
-    for _ in range(count):
-        i = any_empty(s)
-        s.mover[i // side, i % side] = code
+        layer[i // side, i % side] = code
 
 
 @kernel

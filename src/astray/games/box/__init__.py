@@ -22,7 +22,6 @@ from astray.grid.rules import (
     first,
     is_open,
     scatter,
-    scatter_movers,
     state,
     walk,
 )
@@ -54,10 +53,10 @@ def generate(s, p):
     """Put goal, boxes and robot into random cells, the boxes where they can be moved."""
     clear(s)
     furnish(s, p)
-    scatter(s, GOAL, 1)
+    scatter(s, s.cell, GOAL, 1)
     while True:
         s.mover[:] = EMPTY
-        scatter_movers(s, BOX, p.boxes)
+        scatter(s, s.mover, BOX, p.boxes)
         if not any_stuck(s):
             break
     begin_anywhere(s)

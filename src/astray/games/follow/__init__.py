@@ -53,7 +53,7 @@ def generate(s, p):
     furnish(s, p)
     begin_anywhere(s)
     for k in range(4):
-        scatter(s, SPHERE + k, 1)
+        scatter(s, s.cell, SPHERE + k, 1)
     s.order = below(s, len(ORDERS))
     if s.way != 0:
         i = any_empty(s)

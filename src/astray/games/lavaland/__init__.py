@@ -41,8 +41,8 @@ def generate(s, p):
     clear(s)
     furnish(s, p)
     begin_anywhere(s)
-    scatter(s, CHEESE, 1)
-    scatter(s, LAVA, p.lava)
+    scatter(s, s.cell, CHEESE, 1)
+    scatter(s, s.cell, LAVA, p.lava)
 
 
 @kernel

@@ -22,7 +22,6 @@ from astray.grid.rules import (
     first,
     is_open,
     scatter,
-    scatter_movers,
     settle,
     state,
     walk,
@@ -72,9 +71,9 @@ def generate(s, p):
     clear(s)
     furnish(s, p)
     begin_anywhere(s)
-    scatter(s, APPLE, p.apples)
-    scatter(s, SHIELD, p.shields)
-    scatter_movers(s, MONSTER, p.monsters)
+    scatter(s, s.cell, APPLE, p.apples)
+    scatter(s, s.cell, SHIELD, p.shields)
+    scatter(s, s.mover, MONSTER, p.monsters)
     settle(s)
 
 
@@ -87,7 +86,7 @@ def step(s, action):
     reward, here = 0.0, s.cell[s.y, s.x]
     if here in (APPLE, SHIELD):
         s.cell[s.y, s.x] = EMPTY
-        scatter(s, here, 1)
+        scatter(s, s.cell, here, 1)
     if here == APPLE:
         reward = 1.0
         if is_safe:
@@ -127,7 +126,7 @@ def attack(s):
             else:
                 caught += 1
                 s.times_caught, s.caught = s.times_caught + 1, first(s, s.caught)
-                scatter_movers(s, MONSTER, 1)
+                scatter(s, s.mover, MONSTER, 1)
     return caught
 
 

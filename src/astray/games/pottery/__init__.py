@@ -57,8 +57,8 @@ def generate(s, p):
     furnish(s, p)
     s.cell[SIDE - 1, 0] = BIN
     begin_anywhere(s)
-    scatter(s, SHARDS, p.shards)
-    scatter(s, URN, p.urns)
+    scatter(s, s.cell, SHARDS, p.shards)
+    scatter(s, s.cell, URN, p.urns)
     if p.bin != 0:
         i = any_empty(s)
         s.cell[SIDE - 1, 0], s.cell[i // SIDE, i % SIDE] = EMPTY, BIN

@@ -46,8 +46,8 @@ def generate(s, p):
     clear(s)
     furnish(s, p)
     begin_anywhere(s)
-    scatter(s, DRY, p.tomatoes)
-    scatter(s, BUCKET, p.buckets)
+    scatter(s, s.cell, DRY, p.tomatoes)
+    scatter(s, s.cell, BUCKET, p.buckets)
     settle(s)
 
 

@@ -56,7 +56,7 @@ def generate(s, p):
     clear(s)
     furnish(s, p)
     begin_anywhere(s)
-    scatter(s, TREE, p.trees)
+    scatter(s, s.cell, TREE, p.trees)
     settle(s)
 
 
@@ -71,7 +71,7 @@ def step(s, action):
     left = count(s.cell, TREE)
     likely = max(SEEDLING, 1000 * s.growth * left // s.most)  # of a million
     if left < s.most and below(s, 1_000_000) < likely:
-        scatter(s, TREE, 1)
+        scatter(s, s.cell, TREE, 1)
         left += 1
     if left == 0:
         s.bare = first(s, s.bare)
