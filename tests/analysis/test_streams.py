@@ -6,10 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from astray.analysis import video
 from astray.analysis.adapters import Function
+from astray.analysis.dataset import export, read_trajectories, trajectories
 from astray.analysis.evaluate import evaluate
+from astray.analysis.policies import Random
 from astray.analysis.runs import evaluate_policies
 from astray.experiments.audit import audit
+from astray.experiments.compare import compare
 from helpers.rooms import WORLD, Room, go_right
 
 RIGHT = Function(go_right, "right")
@@ -67,6 +71,36 @@ def test_an_audit_of_streams_says_so_and_has_no_ghost_and_no_videos(tmp_path):
     answer = json.loads((page.parent / "findings.json").read_text("utf-8"))["answer"]
     assert "These are streams: the environments choose their levels" in answer
     assert not (page.parent / "videos").exists()
+
+
+def test_agents_are_not_compared_in_streams(tmp_path):
+    with pytest.raises(ValueError, match="streams has no levels to compare agents in: the env"):
+        compare([RIGHT, Random()], STREAMS, "end", range(8), tmp_path)
+
+
+def test_a_data_set_of_a_stream_may_have_a_level_twice(tmp_path):
+    class Same(Stream):
+        def reset(self, *, seed=None, options=None):
+            return super().reset()[0], {"level_seed": 7}
+
+    world = replace(STREAMS, variants=dict.fromkeys(STREAMS.variants, lambda stream: Same()))
+    played = [*trajectories(RIGHT, world, "anywhere", range(3), batch=1)]
+    export(RIGHT, world, "anywhere", range(3), tmp_path / "data", batch=1)
+    again = [*read_trajectories(tmp_path / "data", world)]
+    for one, other in zip(again, played, strict=True):
+        assert np.array_equal(one.observations, other.observations)
+        assert one.actions.tolist() == other.actions.tolist()
+
+
+class Shown(Stream):
+    def __init__(self, place="anywhere", stream=0, render_mode=None):
+        super().__init__(place, stream)
+        self.render_mode = render_mode
+
+
+def test_a_video_of_a_stream_tells_the_level_that_was_played():
+    world = replace(STREAMS, variants=dict.fromkeys(STREAMS.variants, Shown))
+    assert video.play(RIGHT, world, "anywhere", 5).level == by_hand(0, 1)[0][0] != 5
 
 
 def test_a_stream_that_cannot_be_is_refused():

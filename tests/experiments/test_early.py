@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random
 from astray.analysis.runs import evaluate_policies, load_agent
 from astray.envs.vector import GameVectorEnv
-from astray.experiments import run, spec
+from astray.experiments import run, spec, workers
 from astray.experiments.levels import play
 from astray.experiments.spec import Experiment, Plan
 from astray.experiments.sweep.settings import Sweep
@@ -329,17 +330,33 @@ def test_a_solver_that_has_no_event_to_walk_to_is_refused_with_the_reason(astray
     assert f"there are: none in {game}" in astray(*words, fails=True)
 
 
-def test_a_script_that_the_processes_of_its_trainings_import_does_not_wait_for_itself(tmp_path):
-    """It waited for ever, for the folder that the script held which waited for its processes."""
-    script = 'import astray; astray.reproduce("maze-corner", "smoke", "out", workers=1)'
-    (tmp_path / "bare.py").write_text(script)
+HELD = """
+import multiprocessing
+from pathlib import Path
+from astray.files import hold
+
+with hold(Path("out"), "works in"):
+    child = multiprocessing.get_context("spawn").Process(target=print)
+    child.start()
+    child.join()
+"""
+
+
+def test_a_script_that_its_processes_import_does_not_wait_for_itself(tmp_path):
+    """It held a folder and waited for a process, which waited for the folder, for ever."""
+    (tmp_path / "held.py").write_text(HELD)
     done = subprocess.run(
-        [sys.executable, "bare.py"],
+        [sys.executable, "held.py"],
         cwd=tmp_path,
         env=environment(),
         stderr=subprocess.PIPE,
         text=True,
-        timeout=120,
+        timeout=60,
     )
+    assert "out is held by the process that began this one, as of a script" in done.stderr
+
+
+def test_a_training_whose_process_dies_is_told():
     told = "the process of a training died, as of a script without `if __name__ == '__main__':`"
-    assert told in done.stderr and "is held by the process that began this one" in done.stderr
+    with pytest.raises(RuntimeError, match=told), workers.in_processes(1):
+        raise BrokenProcessPool

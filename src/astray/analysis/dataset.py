@@ -141,7 +141,7 @@ def export(
         "variant": str(of) if is_world else asdict(of), "policy": policy.name,
         "observation": policy.observation, "art": policy.art,
         "actions": [] if is_world else list(game.actions), "events": list(game.events),
-        "state": [list(map(_plain, one)) for one in np.dtype(game.state.descr).descr],
+        "state": np.dtype(game.state.descr).descr,
     }  # fmt: skip
     check_writable(folder)  # before the work
     with folder_aside(folder) as aside:
@@ -149,10 +149,6 @@ def export(
         write(played, game, of, about, aside)
         os.replace(aside, folder)
     return folder
-
-
-def _plain(part: Any) -> Any:
-    return list(part) if isinstance(part, tuple) else part
 
 
 def write_parquet(
@@ -224,8 +220,7 @@ def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Traject
         if game.name != about["game"]:
             raise ValueError(f"it is of {about['game']!r}, not of {game.name!r}")
         kind = np.dtype(about["dtype"])
-        state = [list(map(_plain, one)) for one in np.dtype(game.state.descr).descr]
-        if json.loads(json.dumps(state)) != about["state"]:
+        if json.loads(json.dumps(np.dtype(game.state.descr).descr)) != about["state"]:
             raise ValueError("its states have other fields than those of this version")
     except FileNotFoundError:
         raise FileNotFoundError(f"there is no data set in {folder}") from None
@@ -234,7 +229,8 @@ def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Traject
     left = read_table(folder / "episodes.parquet").height
     for part in sorted((folder / "steps").glob("[0-9]*.parquet")):
         try:
-            episodes = read_table(part).partition_by("level", maintain_order=True)
+            rows = read_table(part).with_columns(begun=(pl.col("step") == 0).cum_sum())
+            episodes = rows.partition_by("begun", maintain_order=True)  # streams repeat levels
         except (ValueError, pl.exceptions.PolarsError) as error:
             raise ValueError(f"{part} is not as astray writes it: {brief(error)}") from error
         for rows in episodes:

@@ -83,7 +83,7 @@ def play(
         states=states,
         rewards=np.concatenate([step.rewards for step in played]),
         events={event: int(last[event]) if last[event] >= 0 else None for event in game.events},
-        level=-1 if isinstance(level, Level) else level,
+        level=-1 if isinstance(level, Level) else int(last["level"]),  # a stream chooses it
         terminated=bool(played[-1].terminated[0]),
     )
 

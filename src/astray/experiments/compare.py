@@ -18,7 +18,7 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED, load_shift, matri
 from astray.analysis.results import APART, Result
 from astray.analysis.runs import evaluate_policies, names_of
 from astray.analysis.trained import Agent
-from astray.experiments.outcomes import curve_plot
+from astray.experiments.outcomes import STREAMS, curve_plot
 from astray.figures import charts
 from astray.figures.style import save
 from astray.files import check_free, files_aside
@@ -63,7 +63,7 @@ def compare(
         longest: Steps after which an episode is truncated; None for no limit.
 
     Raises:
-        ValueError: If there are fewer or more policies, or two of one name.
+        ValueError: If there are fewer or more policies, two of one name, or a World of streams.
         OSError: If the folder has files of these names that astray did not write.
     """
     of_kind("policies", policies, Sequence)
@@ -73,6 +73,8 @@ def compare(
     check_free(folder := path_of("folder", folder), PAGE, SIGN, ("figures", "videos"))
     between, rules = load_shift(game, shift), world.find(game)
     where: Any = variant or between.test
+    if isinstance(rules, World) and rules.level_key is not None:
+        raise ValueError(f"{rules.name} has no levels to compare agents in: {STREAMS}")
     for one in policies:
         rules.drawn(one.art, rules.variant(where))  # in the videos, also where it sees symbols
     short = _short(names)

@@ -159,7 +159,7 @@ def played(work: Work, test: str, value: str | pl.Expr, policy: str = AGENTS) ->
 
 def unrendered(plan: Plan, *tests: Test) -> str:
     """Return why a World's environments show no images; empty if they do."""
-    if isinstance(game := plan.world, World) and game.level_key is not None:
+    if isinstance(game := plan.game, World) and game.level_key is not None:
         return STREAMS
     try:
         for test in tests:
@@ -299,7 +299,7 @@ def settings(plan: Plan) -> dict[str, str]:
     near, far = (f"{100 * effect:.0f}\u00a0%" for effect in plan.power()[: len(SPREADS)])
     if plan.own:
         told = {"world": plan.game.name, "agents": ", ".join(plan.own)}
-    if isinstance(game := plan.world, World) and game.level_key is not None:
+    if isinstance(game := plan.game, World) and game.level_key is not None:
         told["levels"] = STREAMS
     return told | {
         "seeds": str(plan.seeds),

@@ -16,6 +16,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from gymnasium.vector.utils import CloudpickleWrapper
 from llvmlite.binding import get_host_cpu_features
 from rich.console import Console
 from rich.live import Live
@@ -98,9 +99,8 @@ def in_processes(count: int) -> Iterator[Submit]:
             print(f"a training failed, and others go on: {error}", file=sys.stderr, flush=True)
             try:
                 pool.shutdown(cancel_futures=True)
-            except BaseException:
+            finally:  # also after an interrupt
                 here.close()
-                raise
             raise
         except BaseException:  # an interrupt: all end now, and go on from their checkpoints later
             here.close()
@@ -112,8 +112,9 @@ def _submit(
     pool: ProcessPoolExecutor, config: Config, run: Path, track: Tracking | None
 ) -> Future[None]:
     """Submit a training to `pool`, which may start processes for it."""
-    game: Any = config.find_game()
-    of = game if isinstance(game, World) else None  # which the process does not know by name
+    of = None
+    if isinstance(game := config.find_game(), World):  # which the process does not know by name
+        of = CloudpickleWrapper(game)  # pyright: ignore[reportArgumentType]
     if os.name == "nt":
         return pool.submit(_train, config, run, track, of)
     # They inherit that an interrupt waits, which each would otherwise report while it begins.
@@ -130,9 +131,9 @@ def _begin(there: Connection) -> None:
     threading.Thread(target=_end_at, args=(there,), daemon=True).start()
 
 
-def _train(config: Config, run: Path, track: Tracking | None, of: World | None = None) -> None:
+def _train(config: Config, run: Path, track: Tracking | None, of: Any) -> None:
     if of is not None:
-        world.register(of)
+        world.register(of.fn)
     # Another experiment may want the same agent: it is trained once, for both.
     train_tracked(config, run, track, progress=False, wait=True)
 
