@@ -357,6 +357,6 @@ def test_a_script_that_its_processes_import_does_not_wait_for_itself(tmp_path):
 
 
 def test_a_training_whose_process_dies_is_told():
-    told = "the process of a training died, as of a script without `if __name__ == '__main__':`"
+    told = "for want of memory, or died, as of a script without `if __name__ == '__main__':`"
     with pytest.raises(RuntimeError, match=told), workers.in_processes(1):
         raise BrokenProcessPool

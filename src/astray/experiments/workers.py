@@ -94,7 +94,8 @@ def in_processes(count: int) -> Iterator[Submit]:
         try:
             yield functools.partial(_submit, pool)
         except BrokenProcessPool as error:
-            raise RuntimeError(f"the process of a training died{UNGUARDED}") from error
+            told = "the process of a training was killed, perhaps for want of memory, or died"
+            raise RuntimeError(told + UNGUARDED) from error
         except Exception as error:  # of one training; those that have begun go on to their end
             print(f"a training failed, and others go on: {error}", file=sys.stderr, flush=True)
             try:
