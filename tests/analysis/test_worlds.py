@@ -422,7 +422,7 @@ def test_a_script_that_begins_processes_where_it_is_imported_is_told(tmp_path, h
 
 
 def test_two_processes_a_processor_play_at_a_time():
-    """256 took 14 GB and minutes to begin where processes do not fork, and no less time to play."""
+    """More play no faster, and where processes do not fork 24 took 1.3 GB and 20 s to begin."""
     asked = []
 
     def right(seen):

@@ -22,6 +22,7 @@ export function exact(number) {
   throw new Error("the rules come to an integer above 2 ** 53, which needs Python: astray lab");
 }
 export const natural = (x) => (x < 0 ? exact(2 ** 64) : x); // of integers without a sign
+
 const axes = (x) => (Array.isArray(x) ? 1 + axes(x[0]) : 0);
 export function fill(rows, value, as = (x) => x) {
   const each = axes(value) === axes(rows); // or all parts get the same
