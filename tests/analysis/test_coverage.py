@@ -137,6 +137,16 @@ def test_nine_of_ten_is_not_enough():
     assert 0.94 <= np.mean(held) <= 0.965
 
 
+@pytest.mark.parametrize(
+    "agents, levels, least, most", [(10, 300, 0.66, 0.77), (8, 100, 0.87, 0.95)]
+)
+def test_levels_too_rare_for_a_test_are_missed_by_all_agents(agents, levels, least, most):
+    """One of 200, in which all fail: as docs/evaluation.md says, no interval can know of it."""
+    hard = np.random.default_rng(levels).random((TIMES, 1, levels)) < 0.005
+    found = [estimate_mean(np.repeat(~one, agents, 0)) for one in hard]
+    assert least <= np.mean([one.low <= 0.995 <= one.high for one in found]) <= most
+
+
 @pytest.mark.parametrize("levels", [2, 3, 5, 12])
 def test_few_levels_that_differ_are_covered_with_many_agents_too(levels):
     random = np.random.default_rng(levels)
