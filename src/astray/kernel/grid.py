@@ -22,6 +22,9 @@ def push(action):
     return 0, 0
 
 
+PUSHES = tuple(map(push, range(len(ACTIONS))))
+
+
 @entry
 def distances(is_open, x, y):
     """Return [H, W] int64 steps from every cell to (x, y), or UNREACHABLE.

@@ -19,7 +19,7 @@ TABLES = {
     "goals": "lab.goals TOGETHER NEITHER OTHER BETA",
     "maze": "games.maze.rules GOAL OTHER BOTH, games.maze.variants OTHERS COLOURS WALLS",
     "keys": "games.keys.rules KEY, games.keys.draw PLANES",
-    "thief": "kernel.thief HALF",
+    "thief": "kernel.thief HALF, kernel.grid PUSHES",
     "heist": "games.heist.rules COLOURS KEY DOOR_CODE GEM, games.heist.draw PLANES",
     "coinrun": "games.coinrun.rules WORLD EMPTY WALL TOP LAVA LAVA_TOP COIN INVISIBLE PERMEABLE "
     "NOTHING CRATE SAW HALF TALL WALKERS, games.coinrun.cells CRATE_HERE SAW_HERE WALKER_LEFT "

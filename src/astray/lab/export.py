@@ -69,6 +69,7 @@ def export(
         for path, (data, _) in files().items():
             if path != "widget.js":
                 _write(aside / path, data.replace(b'engine="socket"', b'engine="static"'))
+        _write(aside / rules.SHARED, rules.shared())
         _write_data(lab, aside / "data", levels, chosen, further)
         if is_there:
             folder.rmdir()

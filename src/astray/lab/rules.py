@@ -1,15 +1,16 @@
 """Rules of games as modules of JavaScript, for pages without Python.
 
-A module has a game's `step`, its symbolic planes, the kernels that levels are made with, and every
-kernel that these call. `page/rules` has the rest: how a state is made of a level as data.
+A module has a game's `step`, its symbolic planes, the kernels that levels are made with, and where
+scripts go, all compiled. `page/rules` has the rest: how a state is made of a level as data.
 """
 
 import json
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
+import numba
+from numba.core import types
 
 from astray import grid
 from astray.game import Game
@@ -20,21 +21,24 @@ from astray.games.keys import levels as keys
 from astray.games.maze import levels as maze
 from astray.grid.rules import settle
 from astray.kernel import rng
-from astray.kernel.grid import distances, push
+from astray.kernel.grid import distances
 from astray.kernel.maze import margin
-from astray.lab.translate import Translation
+from astray.lab.aim import aim
+from astray.lab.wasm import compiled
 from astray.lab.worlds import shown_fields
 from astray.places import Placement
 from astray.variant import knobs
 
 SHARED = "rules/kernels.js"  # from the page
-DRAWN = (rng.seed_twister, rng.draw_u32)
-# Kernels that `page/rules` calls in games that are no grid worlds, besides step and planes.
-CALLED: Mapping[str, Sequence[Callable]] = {
-    "coinrun": (coinrun.clear, coinrun.add_walker),
-    "heist": (heist.furnish, heist.put, hand_in, margin, *DRAWN),
-    "keys": (keys.furnish, keys.put, margin, *DRAWN),
-    "maze": (maze.furnish, maze.note_arrivals, margin),
+INT, PLANES = types.int64, types.Array(types.uint8, 3, "C")
+THINGS = {margin: (), rng.seed_twister: (INT,), rng.draw_u32: ()}
+# Kernels of games that are no grid worlds, which `page/rules` calls with a state, and the types of
+# further arguments; None is for a variant's knobs.
+CALLED: Mapping[str, Mapping[Callable, tuple[Any, ...]]] = {
+    "coinrun": {coinrun.clear: (), coinrun.add_walker: (INT, INT, types.boolean, INT)},
+    "heist": {heist.furnish: (None,), heist.put: (INT, INT, INT), **THINGS},
+    "keys": {keys.furnish: (None,), keys.put: (INT, INT, INT), **THINGS},
+    "maze": {maze.furnish: (None,), maze.note_arrivals: (), margin: ()},
 }
 
 
@@ -49,47 +53,69 @@ def path(game: Game) -> str:
 
 
 def module(game: Game) -> str:
-    """Return the module of a game's translated rules: a grid world's, or the kernels of others.
+    """Return the module of a game's compiled rules: a grid world's, or the kernels of others.
 
     Raises:
-        ValueError: If its rules contain something that cannot be translated.
+        ValueError: If its rules cannot be compiled for a page.
     """
     world: Any = grid.world_of(game)
     (variant, *_) = game.variants.values()
-    fields = {name: game.state[name] for name in game.state.names or ()}
-    made = Translation(dict.fromkeys(knobs(type(variant)), np.dtype(float)) | fields)
-    called = {"step": made.name(game.rules.step)}
-    moves = [name for name, kind in fields.items() if kind.shape and name in made.stored]
-    planes = (game.symbols.background_planes, game.symbols.foreground_planes)
-    own = (world.furnish, world.seek, settle) if world else CALLED[game.name]
-    called |= {kernel.__name__: made.name(kernel) for kernel in (*planes, *own)}
+    state, record = map(numba.from_dtype, (game.state, variant.records().dtype))
+    of_game: Any = {world.furnish: (None,), settle: ()} if world else CALLED[game.name]
+    of_state = {game.rules.step: (INT,), **of_game}
+    called: dict[str, tuple[Callable, tuple[Any, ...]]] = {
+        kernel.__name__: (kernel, (state, *(kind or record for kind in further)))
+        for kernel, further in of_state.items()
+    }
+    symbols = game.symbols
+    called["background_planes"] = symbols.background_planes, (state, PLANES)
+    called["foreground_planes"] = symbols.foreground_planes, (state, PLANES, PLANES)
+    if game.name == "heist":
+        called["hand_in"] = hand_in, (types.Array(INT, 2, "C"), INT, INT, INT)
+    if world:
+        called |= {f"seek {goal}": (aim(world.seek, goal), (state,)) for goal in world.events}
     editing, places, choices = game.editing, game.places, knobs(type(variant)).items()
     assert isinstance(places, Placement)
     told = {
-        "fields": {name: kind.shape for name, kind in fields.items()},
-        "shown": shown_fields(game), "moves": moves, "LEGEND": editing.LEGEND,
-        "STOOD_ON": editing.STOOD_ON,
+        "fields": {name: game.state[name].shape for name in game.state.names or ()},
+        "shown": shown_fields(game), "LEGEND": editing.LEGEND, "STOOD_ON": editing.STOOD_ON,
         "objects": {name: editing.LEGEND[char] for name, char in editing.OBJECTS.items()},
         "choices": {name: those for name, kind in choices if (those := typing.get_args(kind))},
         "within": places.within, "offset": places.offset, "at_rest": places.at_rest,
     }  # fmt: skip
     if world:
         told |= {
-            "planes": game.symbols.planes(variant).shape, "solid": world.codes(world.solid),
+            "planes": symbols.planes(variant).shape, "solid": world.codes(world.solid),
             "looks": world.looks, "agents": list(world.agents),
         }  # fmt: skip
-    kernels = ", ".join(f"{name}: {there}" for name, there in called.items())
+    begin = f"const game = {{ ...{json.dumps(told)}, ...{compiled(called)} }};"
     of_world = (
         'import { gridRules } from "../rules/grid.js";\nexport const rules = gridRules(game);'
     )
-    begin = f"const game = {{ ...{json.dumps(told)}, {kernels} }};"
-    return made.module(
-        f"The rules of {game.name}", begin, of_world if world else "export { game };"
-    )
+    return _text(f"The rules of {game.name}", begin, of_world if world else "export { game };")
 
 
 def shared() -> bytes:
     """Return the module of the kernels that a page calls for all games."""
-    made = Translation({})
-    names = map(made.name, (rng.mix_two, rng.fraction, distances, push))
-    return made.module("Kernels", f"export {{ {', '.join(names)} }};").encode()
+    wide = types.uint64, types.uint64
+    cells, found = (types.Array(kind, 2, "C") for kind in (types.boolean, types.int32))
+    called: Any = {one.__name__: (one, wide) for one in (rng.mix_two, rng.fraction)}
+    called["steps"] = steps, (cells, INT, INT, found)
+    ends = (
+        "export const { mix_two, fraction } = made;\nexport const distances = stepsOf(made.steps);"
+    )
+    begin = f"const made = {compiled(called)};"
+    return _text("Kernels", 'import { stepsOf } from "./memory.js";', begin, ends).encode()
+
+
+def steps(is_open: Any, x: int, y: int, found: Any) -> None:
+    """Write the `distances` to a cell into `found` [H, W]."""
+    away = distances(is_open, x, y)
+    for row in range(len(away)):
+        for column in range(len(away[row])):
+            found[row, column] = away[row, column]
+
+
+def _text(about: str, *lines: str) -> str:
+    imported = 'import { kernels } from "../rules/memory.js";'
+    return "\n".join([f"// {about}, compiled from Python.", imported, *lines, ""])

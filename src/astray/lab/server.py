@@ -19,7 +19,7 @@ from contextlib import suppress
 from typing import Any
 
 from astray import imports
-from astray.lab import constants, rules
+from astray.lab import constants
 from astray.lab.messages import LARGEST, number_of, read
 from astray.lab.session import Lab, Session
 from astray.lab.worlds import PAGE
@@ -53,8 +53,7 @@ def files() -> dict[str, tuple[bytes, str]]:
         for path in sorted(PAGE.rglob("*"))
         if path.suffix in TYPES
     }
-    made = {constants.PATH: constants.module(), rules.SHARED: rules.shared()}
-    return found | {path: (text, TYPES[".js"]) for path, text in made.items()}
+    return found | {constants.PATH: (constants.module(), TYPES[".js"])}
 
 
 def make_app(lab: Lab, token: str, port: int) -> Any:

@@ -1,7 +1,9 @@
 // Drawing of a game of cells: with its sprites, or else the characters of its drawings.
 
 import { eachCell, heading } from "./common.js";
-import { WALL } from "../rules/common.js";
+import { common } from "../rules/constants.js";
+
+const { WALL } = common;
 
 const FILLS = { ".": "#f1efe8", "#": "#8d8a80" };
 

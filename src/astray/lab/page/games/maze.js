@@ -1,9 +1,9 @@
 // Drawing of Maze in the lab.
 
 import { eachCell, heading } from "./common.js";
-import { WALL } from "../rules/common.js";
-import { maze } from "../rules/constants.js";
+import { common, maze } from "../rules/constants.js";
 
+const { WALL } = common;
 const { WALLS, OTHERS, COLOURS } = maze;
 const FLOOR = "#ece6d6";
 const UNSEEN = "rgba(60, 60, 60, 0.35)"; // the outline of an object that the agent does not see

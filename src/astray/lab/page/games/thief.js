@@ -1,10 +1,9 @@
 // Drawing of Heist, and of Keys and Chests: a thief, and things in the cells of a maze.
 
 import { eachCell, heading } from "./common.js";
-import { WALL } from "../rules/common.js";
-import { thief as body } from "../rules/constants.js";
-import { push } from "../rules/kernels.js";
+import { common, thief as body } from "../rules/constants.js";
 
+const { WALL } = common;
 const FLOORS = "#e9e4dc";
 
 // thing: the picture of a thing and its size in cells; hand: the pictures of what is in hand.
@@ -34,7 +33,7 @@ function still(brush, { grid }, s, pictures) {
 function thief(brush, s, pictures) {
   const { paint, scale, top } = brush;
   const half = body.HALF * scale;
-  const [dx, dy] = push(s.facing);
+  const [dx, dy] = body.PUSHES[s.facing];
   const oblique = dx !== 0 && dy !== 0;
   const image = pictures.get(oblique ? "thief-right-up" : "thief-right");
   const quarters = Math.floor(((2 * Math.atan2(dy, dx)) / Math.PI + 4) % 4);

@@ -21,7 +21,6 @@ function checkAgent(grid, [x, y], { LEGEND, STOOD_ON }) {
 
 const zeros = ([count, ...rest]) =>
   (count === undefined ? 0 : Array.from({ length: count }, () => zeros(rest)));
-const copied = (rows) => (Array.isArray(rows) ? rows.map(copied) : rows);
 const here = (s) => [Math.floor(s.x), Math.floor(s.y)];
 
 // The rules of a `game`, the object of its translated module, with the game's own
@@ -31,8 +30,7 @@ const here = (s) => [Math.floor(s.x), Math.floor(s.y)];
 //   planes(s): its observation.
 export function rulesOf(game, { build, contents, open, planes, reach }) {
   const steps = reach ?? ((s) => distances(open(s), ...here(s)));
-  const copy = (s) =>
-    ({ ...s, ...Object.fromEntries(game.moves.map((name) => [name, copied(s[name])])) });
+  const copy = (s) => ({ ...s }); // kernels change no rows: they make others
 
   return {
     step: game.step, shown: game.shown, planes, copy,
@@ -74,8 +72,9 @@ export function cellsOf(grid, code) {
   return found;
 }
 
-const blank = (planes, side) => Array.from({ length: planes }, () =>
-  Array.from({ length: side }, () => new Uint8Array(side)));
+const blank = (planes, side) =>
+  ({ shape: [planes, side, side], data: new Uint8Array(planes * side * side) });
+const NONE = blank(0, 0);
 
 // The part of observations that does not move, and is wider than they are, as kernels draw it.
 export function drawn(kernels, s, count, side) {
@@ -87,10 +86,8 @@ export function drawn(kernels, s, count, side) {
 // The observation of a state, planes [C, H, W].
 export function observed(kernels, s, scene, count, side) {
   const planes = blank(count, side);
-  kernels.foreground_planes(s, scene, planes);
-  const data = new Uint8Array(count * side * side);
-  planes.flat().forEach((row, k) => data.set(row, k * side));
-  return { shape: [count, side, side], data };
+  kernels.foreground_planes(s, scene ?? NONE, planes);
+  return planes;
 }
 
 // The same in a maze, of which the agent sees all or a window around it.

@@ -27,9 +27,8 @@ export function gridRules(game) {
 
   // The cell of a goal; null where it has none, or moves.
   function target(s, goal) {
-    const found = game.seek(s, goal);
-    const [cell] = Array.isArray(found) && found.length === 1 ? found : [];
-    return cell && !s.mover[cell[1]][cell[0]] ? cell : null;
+    const [x, y] = game[`seek ${goal}`](s);
+    return x >= 0 && !s.mover[y][x] ? [x, y] : null;
   }
 
   const open = (s) => s.cell.map((row) => row.map((what) => !game.solid.includes(what)));

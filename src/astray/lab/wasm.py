@@ -1,0 +1,320 @@
+"""Kernels as WebAssembly, for pages without Python.
+
+numba compiles them as it does for this machine, by the same types, and LLVM for WebAssembly: a
+page's numbers are those of compiled code. The result is a module of JavaScript whose functions put
+states, arrays and numbers into WebAssembly's memory; `page/rules/memory.js` does that.
+"""
+
+import base64
+import functools
+import inspect
+import json
+import re
+from collections.abc import Callable, Mapping
+from types import FunctionType
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, target_extension, types
+from numba.core.callconv import CPUCallConv, excinfo_ptr_t
+from numba.core.codegen import CPUCodegen, CPUCodeLibrary
+from numba.core.compiler import Flags, compile_extra
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.cpu import CPUContext, CPUTargetOptions
+from numba.core.descriptors import TargetDescriptor
+from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
+from numba.core.registry import cpu_target
+from numba.core.typing.context import Context
+
+NAME = "wasm"  # of the target, in numba
+TRIPLE, FEATURES = "wasm32-unknown-unknown", "+bulk-memory,+nontrapping-fptoint,+sign-ext"
+# What the page gives to modules, in `page/rules/memory.js`, besides memory and stack.
+GIVEN = {
+    "__multi3", "fmod", "fmodf", "numba_attempt_nocopy_reshape", "NRT_Allocate", "NRT_Free",
+    "NRT_MemInfo_alloc_aligned", "NRT_MemInfo_data_fast", "NRT_MemInfo_new_varsize_dtor",
+    "NRT_MemInfo_varsize_realloc",
+}  # fmt: skip
+# Memory is not counted by references: the page forgets all of it before each call.
+UNCOUNTED = """
+define void @NRT_incref(ptr %info) alwaysinline { ret void }
+define void @NRT_decref(ptr %info) alwaysinline { ret void }
+"""
+IMPORTS, EXPORTS = 2, 7  # sections of a module
+LINKING = b"\x07linking"  # begins the section of an object file that has its symbols
+COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+
+
+class _WebAssembly(target_extension.CPU):
+    """The target's name in numba's hierarchy: what is for any CPU is for it, too."""
+
+
+class _Library(CPUCodeLibrary):
+    """Code that is optimised once, when all of a module is linked."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_specific(self) -> None:
+        pass
+
+
+class _Codegen(CPUCodegen):
+    _library_class = _Library
+
+    def _init(self, llvm_module: Any) -> None:
+        llvm.initialize_all_targets()
+        llvm.initialize_all_asmprinters()
+        target = llvm.Target.from_triple(TRIPLE)
+        self._tm = target.create_target_machine(opt=3, features=FEATURES)
+        self._tm_features, self._target_data = FEATURES, self._tm.target_data
+        self._data_layout = str(self._target_data)
+        self._loopvect, self._opt_level = False, 0
+
+    def _create_empty_module(self, name: str) -> Any:
+        module = super()._create_empty_module(name)
+        module.triple = TRIPLE
+        return module
+
+    def _add_module(self, module: Any) -> None:
+        pass
+
+
+class _CallConv(CPUCallConv):
+    """Errors are texts: Python's would be pickled, with the paths of the user's files."""
+
+    def set_static_user_exc(self, builder, exc, exc_args=None, loc=None, func_name=None):
+        text = ": ".join(map(str, (exc.__name__, *(exc_args or ()))))
+        told = self.context.insert_const_string(builder.module, text)
+        told = builder.bitcast(told, excinfo_ptr_t)
+        builder.store(told, self._get_excinfo_argument(builder.function))
+
+    def set_dynamic_user_exc(self, builder, exc, exc_args, nb_types, loc=None, func_name=None):
+        self.set_static_user_exc(builder, exc)
+
+
+class _Context(CPUContext):
+    """Compilation for a machine without Python."""
+
+    def init(self) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        self.is32bit = False  # which is of integers, that are as in Python
+        self._internal_codegen: Any = _Codegen("astray")
+
+    @property
+    def call_conv(self) -> _CallConv:
+        return _CallConv(self)
+
+    def post_lowering(self, mod: Any, library: Any) -> None:
+        """Do not link numba's own memory, which is of this machine."""
+
+    def get_executable(self, library: Any, fndesc: Any, env: Any) -> object:
+        """Return a key by which numba finds the function."""
+        return object()
+
+    def add_dynamic_addr(self, builder: Any, intaddr: int, info: str) -> Any:
+        """Return no address: there is no object of Python."""
+        return cgutils.get_null_value(cgutils.voidptr_t)
+
+
+class _Typing(Context):
+    """Types, among which kernels are those that are compiled for this target."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.kernels: dict[Any, types.Dispatcher] = {}
+
+    def resolve_value_type(self, val: Any) -> Any:
+        if getattr(val, "__name__", "") == "raise_with_shape_context":
+            val = _misshapen  # numba's own writes the shapes, for which it needs logarithms
+        try:
+            found = super().resolve_value_type(val)
+        except ValueError:  # of a function that is not compiled, as where numba is switched off
+            if not isinstance(val, FunctionType):
+                raise
+            return self._kernel(val, val, {})
+        if isinstance(found, types.Dispatcher) and not isinstance(found.dispatcher, _Dispatcher):
+            one = found.dispatcher
+            return self._kernel(one, one.py_func, one.targetoptions)
+        return found
+
+    def _kernel(self, key: Any, function: Any, options: Mapping[str, Any]) -> types.Dispatcher:
+        if key not in self.kernels:
+            self.kernels[key] = types.Dispatcher(made := _Dispatcher(function, options))
+            self.kernels[made] = self.kernels[key]  # the type alone would not keep it
+        return self.kernels[key]
+
+
+def _misshapen(_shapes: Any, _others: Any) -> None:
+    raise ValueError("an array must be of the shape of the part that it is assigned to")
+
+
+class _Target(TargetDescriptor):
+    options = CPUTargetOptions
+
+    @property
+    @functools.cache  # noqa: B019, of one object
+    def typing_context(self) -> Any:
+        return _Typing()
+
+    @property
+    @functools.cache  # noqa: B019, of one object
+    def target_context(self) -> Any:
+        return _Context(self.typing_context, NAME)
+
+
+class _Dispatcher(Dispatcher):
+    targetdescr = _Target(NAME)
+
+    def __init__(self, function: Any, options: Mapping[str, Any]):
+        # numba's own functions name a target; and here is no cache
+        kept = {name: of for name, of in options.items() if name not in ("target", "cache")}
+        super().__init__(function, targetoptions=kept)
+
+    def add_overload(self, cres: Any) -> None:
+        self.overloads[tuple(cres.signature.args)] = cres
+
+
+def _jit(function: Any = None, **options: Any) -> Any:
+    """Compile for this target, as numba does with parts of its own."""
+    return _Dispatcher(function, options) if function else functools.partial(_jit, **options)
+
+
+target_extension.target_registry[NAME] = _WebAssembly
+target_extension.dispatcher_registry[_WebAssembly] = _Dispatcher
+target_extension.jit_registry[_WebAssembly] = _jit
+
+
+@global_compiler_lock
+def compiled(kernels: Mapping[str, tuple[Callable, tuple[types.Type, ...]]]) -> str:
+    """Return kernels as an expression of JavaScript, an object of functions.
+
+    Args:
+        kernels: Name on the page -> a function, and the types of its arguments: numbers, arrays in
+            C's order, or records.
+
+    Raises:
+        ValueError: If one of them cannot be compiled, or needs what a page does not have.
+    """
+    machine: Any = cpu_target.target_context
+    machine.refresh()  # whose own memory is made first
+    context = _Dispatcher.targetdescr.target_context
+    context.refresh()
+    context.typing_context.kernels.clear()  # the values of their constants may be others by now
+    about, compiled_ones = {}, []
+    whole = llvm.parse_assembly(UNCOUNTED)
+    whole.triple, whole.data_layout = TRIPLE, context.codegen()._data_layout
+    for name, (kernel, takes) in kernels.items():
+        found = _compile(name, kernel, takes, context)
+        about[name] = {"takes": [*map(_told, takes)], "returns": _returned(found, name, context)}
+        found.library._ensure_finalized()
+        whole.link_in(found.library._final_module, preserve=True)
+        compiled_ones.append(found.fndesc.llvm_func_name)
+    data = _linked(whole, dict(zip(compiled_ones, kernels, strict=True)), context)
+    return f"await kernels({json.dumps(base64.b64encode(data).decode())}, {json.dumps(about)})"
+
+
+def _compile(name: str, kernel: Any, takes: tuple[types.Type, ...], context: Any) -> Any:
+    function = inspect.unwrap(getattr(kernel, "py_func", kernel))
+    flags: Any = Flags()
+    flags.nrt = flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+    try:
+        with target_extension.target_override(NAME):  # also of what numba asks for later
+            return compile_extra(context.typing_context, context, function, takes, None, flags, {})
+    except (NumbaError, NotImplementedError) as error:
+        lines = [line for line in COLOURS.sub("", str(error)).splitlines() if line.strip()]
+        said = " ".join(lines[:3])[:300]
+        raise ValueError(f"{name} must be compiled for a page without Python: {said}") from None
+
+
+def _told(kind: types.Type) -> Any:
+    """Return how the page keeps an argument: the code of a number, an array, or a record."""
+    if isinstance(kind, types.Record):
+        of = {name: kind.typeof(name) for name in kind.fields}
+        fields = [
+            [name, kind.offset(name), _code(getattr(one, "dtype", one)), getattr(one, "shape", ())]
+            for name, one in of.items()
+        ]
+        return {"size": kind.size, "fields": fields}
+    return {"of": _code(kind.dtype)} if isinstance(kind, types.Array) else _code(kind)
+
+
+def _code(kind: Any) -> str:
+    """Return a type of numbers as NumPy writes it, without the order of bytes."""
+    numpy_name = "bool" if isinstance(kind, types.Boolean) else str(types.unliteral(kind))
+    return np.dtype(numpy_name).str[1:]
+
+
+def _returned(found: Any, name: str, context: Any) -> Any:
+    """Return the record of what a kernel returns: a "value", or the parts of a tuple by number."""
+    kind: Any = types.unliteral(found.signature.return_type)
+    if kind == types.none:
+        return None
+    parts = [*getattr(kind, "types", (kind,))]
+    if not all(isinstance(types.unliteral(one), types.Number | types.Boolean) for one in parts):
+        raise ValueError(f"{name} of a page must return numbers, or a tuple of them; got {kind}")
+    layout = context.data_model_manager[kind].get_return_type()
+    if not isinstance(layout, ir.LiteralStructType):  # a number, or parts of one type
+        layout = ir.LiteralStructType([getattr(layout, "element", layout)] * len(parts))
+    at = [layout.get_element_offset(context.target_data, k) for k in range(len(parts))]
+    names = map(str, range(len(parts))) if isinstance(kind, types.BaseTuple) else ["value"]
+    fields = [[*one, []] for one in zip(names, at, map(_code, parts), strict=True)]
+    return {"size": layout.get_abi_size(context.target_data), "fields": fields}
+
+
+def _linked(whole: Any, exported: Mapping[str, str], context: Any) -> bytes:
+    """Optimise a module of LLVM; return that of WebAssembly with the functions `exported`."""
+    for one in (*whole.functions, *whole.global_variables):
+        if not one.is_declaration and one.name not in exported:
+            one.linkage = "internal"  # left out if unused
+    machine = context.codegen()._tm
+    passes = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
+    passes.getModulePassManager().run(whole, passes)
+    sections = _sections(machine.emit_object(whole))
+    for name in _imported(dict(sections).get(IMPORTS, b"")):
+        if name not in GIVEN:
+            raise ValueError(f"{', '.join(exported.values())}: a page without Python has no {name}")
+    (symbols,) = (part for kind, part in sections if not kind and part.startswith(LINKING))
+    told = (_string(as_) + b"\0" + _index(symbols, name) for name, as_ in exported.items())
+    kept = [one for one in sections if one[0]]  # others are for linkers
+    first = next(k for k, (kind, _) in enumerate(kept) if kind > EXPORTS)
+    kept.insert(first, (EXPORTS, _number(len(exported)) + b"".join(told)))
+    return b"\0asm\1\0\0\0" + b"".join(bytes([n]) + _number(len(p)) + p for n, p in kept)
+
+
+def _number(value: int) -> bytes:
+    """Write an integer as WebAssembly does: 7 bits a byte, the lowest first."""
+    more, rest = value & 127, value >> 7
+    return bytes([more | 128]) + _number(rest) if rest else bytes([more])
+
+
+def _string(text: str) -> bytes:
+    return _number(len(text.encode())) + text.encode()
+
+
+def _sections(data: bytes) -> list[tuple[int, bytes]]:
+    """Return the kind of each section of a module, and its bytes."""
+    at, found = 8, []
+    while at < len(data):
+        kind, size, shift = data[at], 0, 0
+        while not shift or data[at] > 127:
+            at += 1
+            size, shift = size | (data[at] & 127) << shift, shift + 7
+        found.append((kind, data[at + 1 : at + 1 + size]))
+        at += 1 + size
+    return found
+
+
+def _imported(section: bytes) -> list[str]:
+    """Return the names of the functions that a module imports, all of them from "env"."""
+    several = section.split(_string("env"))[1:]  # each: a name, 0 of a function, its type
+    return [one[1 : 1 + one[0]].decode() for one in several if one[1 + one[0]] == 0]
+
+
+def _index(symbols: bytes, name: str) -> bytes:
+    """Return a function's number, as the symbols of an object file have it in front of its name."""
+    begin = end = symbols.index(_string(name))
+    while begin == end or symbols[begin - 1] > 127:
+        begin -= 1
+    return symbols[begin:end]
