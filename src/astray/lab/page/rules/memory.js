@@ -10,14 +10,19 @@ const DATA = 16; // in which the array's address is here
 
 const whole = (x) => BigInt(typeof x === "number" ? Math.trunc(x) : x);
 const exact = (x) => (Number.isSafeInteger(Number(x)) ? Number(x) : x);
-const kind = (size, name, put = Number, take = (x) => x) =>
-  [size, (v, at, x) => v[`set${name}`](at, put(x), true), (v, at) => take(v[`get${name}`](at, true))];
-// NumPy's code of a type: [its bytes, what writes one, what reads one].
-const KINDS = {
-  b1: kind(1, "Uint8", Boolean, Boolean), f4: kind(4, "Float32"), f8: kind(8, "Float64"),
-  i1: kind(1, "Int8"), i2: kind(2, "Int16"), i4: kind(4, "Int32"), i8: kind(8, "BigInt64", whole, exact),
-  u1: kind(1, "Uint8"), u2: kind(2, "Uint16"), u4: kind(4, "Uint32"), u8: kind(8, "BigUint64", whole, exact),
+const same = (x) => x;
+const kind = (array, put = Number, take = same) => {
+  const name = array.name.replace("Array", "");
+  return { array, put, take, set: DataView.prototype[`set${name}`], get: DataView.prototype[`get${name}`] };
 };
+// By NumPy's code of a type: arrays of it, and how one number is put there and taken.
+const KINDS = {
+  b1: kind(Uint8Array, Number, Boolean), f4: kind(Float32Array), f8: kind(Float64Array),
+  i1: kind(Int8Array), i2: kind(Int16Array), i4: kind(Int32Array), i8: kind(BigInt64Array, whole, exact),
+  u1: kind(Uint8Array), u2: kind(Uint16Array), u4: kind(Uint32Array), u8: kind(BigUint64Array, whole, exact),
+};
+const product = (axes) => axes.reduce((a, b) => a * b, 1);
+const bytesOf = (array) => new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
 
 // Functions of the names in `about`, which says what they take and return; text: base64.
 export async function kernels(text, about) {
@@ -82,44 +87,41 @@ export async function kernels(text, about) {
 
   // Puts what a kernel takes into memory: {args, back}; back() tells what it changed.
   function put(what, x) {
-    if (typeof what === "string") {
-      return { args: [["i8", "u8"].includes(what) ? whole(x) : Number(x)], back() {} };
-    }
+    if (typeof what === "string") return { args: [KINDS[what].put(x)], back() {} };
     if (what.of) return array(what.of, x);
     const at = allocate(what.size);
-    const v = view();
-    new Uint8Array(memory.buffer, at, what.size).fill(0);
-    for (const [name, offset, code, shape] of what.fields) { // but for gaps, which knobs do not have
-      if (name in x) write(v, at + offset, code, shape, x[name]);
+    const before = new Uint8Array(what.size);
+    const numbers = new DataView(before.buffer);
+    for (const [name, offset, code, shape] of what.fields) {
+      if (!(name in x)) continue; // a gap, which knobs do not have
+      if (shape.length) before.set(bytesOf(packed(code, shape, x[name])), offset);
+      else KINDS[code].set.call(numbers, offset, KINDS[code].put(x[name]), true);
     }
-    const before = new Uint8Array(memory.buffer).slice(at, at + what.size);
-    return { args: [at], back: () => Object.assign(x, changed(what, at, before)) };
+    new Uint8Array(memory.buffer).set(before, at);
+    return { args: [at], back: () => takeChanged(x, what, at, before) };
   }
 
   function array(code, x) {
-    const { shape, data } = x.shape ? x : { shape: shapeOf(x), data: x.flat(Infinity) };
-    const [size] = KINDS[code];
-    const count = shape.reduce((a, b) => a * b, 1);
-    const at = allocate(count * size);
-    const isRaw = ArrayBuffer.isView(data) && data.BYTES_PER_ELEMENT === size;
-    const bytesOf = () => new Uint8Array(data.buffer, data.byteOffset, data.byteLength);
-    if (isRaw) new Uint8Array(memory.buffer).set(bytesOf(), at);
-    else write(view(), at, code, [count], data);
-    const strides = shape.map((_, k) => shape.slice(k + 1).reduce((a, b) => a * b, size));
+    const { shape, data } = x.shape ? x : { shape: shapeOf(x), data: packed(code, shapeOf(x), x) };
+    const at = allocate(data.byteLength);
+    new Uint8Array(memory.buffer).set(bytesOf(data), at);
+    const strides = shape.map((_, k) => data.BYTES_PER_ELEMENT * product(shape.slice(k + 1)));
+    const [count, size] = [product(shape), data.BYTES_PER_ELEMENT].map(BigInt);
     return {
-      args: [0, 0, BigInt(count), BigInt(size), at, ...[...shape, ...strides].map(BigInt)],
-      back: () => isRaw && bytesOf().set(new Uint8Array(memory.buffer, at, count * size)),
+      args: [0, 0, count, size, at, ...[...shape, ...strides].map(BigInt)],
+      back: () => x.shape && bytesOf(data).set(new Uint8Array(memory.buffer, at, data.byteLength)),
     };
   }
 
-  // The fields whose bytes are no longer those `before`; rows that stayed are the same objects.
-  function changed({ fields }, at, before) {
-    const [v, now] = [view(), new Uint8Array(memory.buffer, at, before.length)];
-    return Object.fromEntries(fields.filter(([, offset, code, shape]) => {
-      const end = offset + shape.reduce((a, b) => a * b, KINDS[code][0]);
-      for (let k = offset; k < end; k++) if (now[k] !== before[k]) return true;
-      return false;
-    }).map(([name, offset, code, shape]) => [name, read(v, at + offset, code, shape)]));
+  // Only fields whose bytes are no longer those `before`: rows that stayed are the same objects.
+  function takeChanged(x, { fields }, at, before) {
+    const now = new Uint8Array(memory.buffer, at, before.length);
+    for (const [name, offset, code, shape] of fields) {
+      const end = offset + product(shape) * KINDS[code].array.BYTES_PER_ELEMENT;
+      let k = offset;
+      while (k < end && now[k] === before[k]) k++;
+      if (k < end) x[name] = unpacked(memory.buffer, at + offset, code, shape);
+    }
   }
 
   function call(name, { takes, returns }, given) {
@@ -132,7 +134,7 @@ export async function kernels(text, about) {
       throw new Error(new TextDecoder().decode(said.slice(0, said.indexOf(0))));
     }
     for (const { back } of passed) back();
-    const parts = returns?.fields.map(([, at, code]) => read(view(), out + at, code, []));
+    const parts = returns?.fields.map(([, at, code]) => unpacked(memory.buffer, out + at, code, []));
     return returns?.fields[0]?.[0] === "value" ? parts[0] : parts;
   }
 
@@ -142,20 +144,25 @@ export async function kernels(text, about) {
 
 const shapeOf = (rows) => (Array.isArray(rows) ? [rows.length, ...shapeOf(rows[0] ?? 0)] : []);
 
-function write(v, at, code, [count, ...rest], x) {
-  const [size, set] = KINDS[code];
-  if (count === undefined) return set(v, at, x);
-  const wide = rest.reduce((a, b) => a * b, size);
-  for (let k = 0; k < count; k++) {
-    if (rest.length) write(v, at + k * wide, code, rest, x[k]); else set(v, at + k * wide, x[k]);
-  }
+// Rows of rows as a flat array.
+function packed(code, shape, x) {
+  const { array, put } = KINDS[code];
+  const [made, wide] = [new array(product(shape)), shape.at(-1)];
+  const rows = shape.length > 1 ? x.flat(shape.length - 2) : [x];
+  rows.forEach((row, k) => made.set(put === Number ? row : row.map(put), k * wide));
+  return made;
 }
 
-function read(v, at, code, [count, ...rest]) {
-  const [size, , get] = KINDS[code];
-  if (count === undefined) return get(v, at);
-  const wide = rest.reduce((a, b) => a * b, size);
-  return Array.from({ length: count }, (_, k) => read(v, at + k * wide, code, rest));
+function unpacked(buffer, at, code, shape) {
+  const { array, take, get } = KINDS[code];
+  if (!shape.length) return take(get.call(new DataView(buffer), at, true));
+  const flat = new array(buffer.slice(at, at + product(shape) * array.BYTES_PER_ELEMENT));
+  let rows = take === same ? Array.from(flat) : Array.from(flat, take);
+  for (const wide of shape.slice(1).reverse()) {
+    const whole_ = rows;
+    rows = Array.from({ length: rows.length / wide }, (_, k) => whole_.slice(k * wide, (k + 1) * wide));
+  }
+  return rows;
 }
 
 // `kernel` writes the steps to a cell into an array; as rows of rows.
