@@ -132,10 +132,12 @@ def test_an_action_after_which_chance_decides_otherwise_does_something_else(page
           const { effects } = await import(new URL("engine/episodes.js", location.href));
           const step = (s, action) => { if (action) s.mt_next += 1; return [0, false]; };
           const copy = (s) => ({ ...s });
-          return effects({ copy, step }, { time: 0, time_limit: 9, mt_next: 5 }, 3);
+          const wide = (s, action) => { s.w += BigInt(action % 3); return [0, false]; };
+          const s = { time: 0, time_limit: 9, mt_next: 5, w: 2n ** 60n };
+          return [effects({ copy, step }, s, 3), effects({ copy, step: wide }, s, 5)];
         }"""
     )
-    assert told == [0, 1, 1]
+    assert told == [[0, 1, 1], [0, 1, 2, 0, 1]]
 
 
 KERNELS = """\
@@ -148,6 +150,7 @@ from astray.kernel.jit import kernel
 
 TABLE = (4, 5)
 BIG = 1, 2**60
+LARGE = np.random.default_rng(0).integers(256, size=1_050_000).astype(np.uint8)
 REALS, REAL = np.array([0.1, 0.7], np.float32), (np.float32(0.1), 3)
 
 class Kind(IntEnum):
@@ -339,6 +342,7 @@ REFUSED = {
     "return math.sin(s.a)": "ask0: a page without Python has no sin",
     "return s.row": r"ask0 of a page must return numbers, or a tuple of them; got nestedarray",
     "return unheard": "ask0 must be compiled for a page without Python: .*'unheard'",
+    "return LARGE[s.a]": "their constants must be at most 1048576 bytes; these are [0-9]{7}",
 }
 
 

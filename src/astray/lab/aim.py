@@ -43,6 +43,9 @@ class _Aimed(ast.NodeTransformer):
     def __init__(self, name: str, goal: str):
         self.name, self.goal = name, goal
 
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
+        return node  # within `seek`, which returns something else
+
     def visit_Name(self, node: ast.Name) -> ast.expr:
         return ast.Constant(self.goal) if node.id == self.name else node
 

@@ -42,6 +42,7 @@ UNCOUNTED = """
 define void @NRT_incref(ptr %info) alwaysinline { ret void }
 define void @NRT_decref(ptr %info) alwaysinline { ret void }
 """
+LARGEST = 2**20  # bytes; a page keeps as much for constants
 IMPORTS, EXPORTS = 2, 7  # sections of a module
 LINKING = b"\x07linking"  # begins the section of an object file that has its symbols
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
@@ -98,6 +99,8 @@ class _CallConv(CPUCallConv):
 class _Context(CPUContext):
     """Compilation for a machine without Python."""
 
+    allow_dynamic_globals = False  # large arrays, too, are copied into the code
+
     def init(self) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
         self.is32bit = False  # which is of integers, that are as in Python
         self._internal_codegen: Any = _Codegen("astray")
@@ -114,7 +117,9 @@ class _Context(CPUContext):
         return object()
 
     def add_dynamic_addr(self, builder: Any, intaddr: int, info: str) -> Any:
-        """Return no address: there is no object of Python."""
+        """Return no address: kernels are called by name, and a page has no other objects."""
+        if info != _Dispatcher.__name__:
+            raise NotImplementedError(f"a page has no {info}")
         return cgutils.get_null_value(cgutils.voidptr_t)
 
 
@@ -212,6 +217,11 @@ def compiled(kernels: Mapping[str, tuple[Callable, tuple[types.Type, ...]]]) -> 
         whole.link_in(found.library._final_module, preserve=True)
         compiled_ones.append(found.fndesc.llvm_func_name)
     data = _linked(whole, dict(zip(compiled_ones, kernels, strict=True)), context)
+    if len(data) > LARGEST:
+        raise ValueError(
+            f"the rules of a page and their constants must be at most {LARGEST} bytes; "
+            f"these are {len(data)}"
+        )
     return f"await kernels({json.dumps(base64.b64encode(data).decode())}, {json.dumps(about)})"
 
 

@@ -25,7 +25,7 @@ export function effects(rules, s, count) {
     const after = rules.copy(s);
     advance(rules, after, action);
     const changed = Object.entries(after).filter(([name, what]) => what !== s[name] && name !== "mt");
-    const key = JSON.stringify(changed);
+    const key = JSON.stringify(changed, (_, x) => (typeof x === "bigint" ? `${x}` : x));
     if (!seen.has(key)) seen.set(key, action);
     return seen.get(key);
   });

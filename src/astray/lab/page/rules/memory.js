@@ -29,6 +29,7 @@ export async function kernels(text, about) {
   const bytes = Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
   const memory = new WebAssembly.Memory({ initial: 1 + (2 * STACK) / PAGE });
   const top = memory.buffer.byteLength - PAGE; // of the stack, which grows towards what is constant
+  const stack = new WebAssembly.Global({ value: "i32", mutable: true }, top);
   let heap = top;
   const view = () => new DataView(memory.buffer);
 
@@ -62,8 +63,8 @@ export async function kernels(text, about) {
 
   const { instance } = await WebAssembly.instantiate(bytes, { env: {
     __linear_memory: memory,
-    __indirect_function_table: new WebAssembly.Table({ initial: 64, element: "anyfunc" }),
-    __stack_pointer: new WebAssembly.Global({ value: "i32", mutable: true }, top),
+    __indirect_function_table: new WebAssembly.Table({ initial: 1024, element: "anyfunc" }),
+    __stack_pointer: stack,
     __multi3(at, a, aHigh, b, bHigh) { // of integers of 128 bits
       const [x, y] = [[a, aHigh], [b, bHigh]].map(([low, high]) => BigInt.asUintN(64, low) + (high << 64n));
       view().setBigInt64(at, BigInt.asIntN(64, x * y), true);
@@ -125,7 +126,7 @@ export async function kernels(text, about) {
   }
 
   function call(name, { takes, returns }, given) {
-    heap = top;
+    heap = stack.value = top; // also after what the browser ended
     const out = returns ? allocate(returns.size) : 0;
     const error = allocate(8);
     const passed = takes.map((what, k) => put(what, given[k]));
