@@ -141,6 +141,7 @@ def test_an_action_after_which_chance_decides_otherwise_does_something_else(page
 
 
 KERNELS = """\
+import ctypes
 import math
 from enum import IntEnum
 
@@ -151,6 +152,7 @@ from astray.kernel.jit import kernel
 TABLE = (4, 5)
 BIG = 1, 2**60
 LARGE = np.random.default_rng(0).integers(256, size=1_050_000).astype(np.uint8)
+CALLED = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(abs)
 REALS, REAL = np.array([0.1, 0.7], np.float32), (np.float32(0.1), 3)
 
 class Kind(IntEnum):
@@ -342,6 +344,7 @@ REFUSED = {
     "return math.sin(s.a)": "ask0: a page without Python has no sin",
     "return s.row": r"ask0 of a page must return numbers, or a tuple of them; got nestedarray",
     "return unheard": "ask0 must be compiled for a page without Python: .*'unheard'",
+    "return CALLED(2.0)": "ask0 must be compiled .* a page has no",
     "return LARGE[s.a]": "their constants must be at most 1048576 bytes; these are [0-9]{7}",
 }
 

@@ -118,7 +118,7 @@ class _Context(CPUContext):
 
     def add_dynamic_addr(self, builder: Any, intaddr: int, info: str) -> Any:
         """Return no address: kernels are called by name, and a page has no other objects."""
-        if info != _Dispatcher.__name__:
+        if info not in ("function", "CPUDispatcher", _Dispatcher.__name__):
             raise NotImplementedError(f"a page has no {info}")
         return cgutils.get_null_value(cgutils.voidptr_t)
 
