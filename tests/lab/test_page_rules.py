@@ -344,7 +344,7 @@ REFUSED = {
     "return math.sin(s.a)": "ask0: a page without Python has no sin",
     "return s.row": r"ask0 of a page must return numbers, or a tuple of them; got nestedarray",
     "return unheard": "ask0 must be compiled for a page without Python: .*'unheard'",
-    "return CALLED(2.0)": "ask0 must be compiled .* a page has no",
+    "return CALLED(2.0)": "ask0 must be compiled .* of type .ExternalFunction",
     "return LARGE[s.a]": "their constants must be at most 1048576 bytes; these are [0-9]{7}",
 }
 
