@@ -1,4 +1,4 @@
-"""The rules that a page plays by are Python's, translated."""
+"""The rules that a page plays by are Python's, compiled."""
 
 import base64
 import json
@@ -60,7 +60,7 @@ def test_keys_open_doors_as_in_python(page):
 
 
 @pytest.mark.parametrize("name, kind", WORLDS)
-def test_rules_that_are_translated_are_those_of_python_state_by_state(page, exported, name, kind):
+def test_rules_that_are_compiled_are_those_of_python_state_by_state(page, exported, name, kind):
     game, random = games.find(name), np.random.default_rng(3)
     write_rules(exported, game)
     compare(page, name, kind, random.integers(len(game.actions), size=(2, STEPS)))
