@@ -61,19 +61,23 @@ def module(game: Game) -> str:
     world: Any = grid.world_of(game)
     (variant, *_) = game.variants.values()
     state, record = map(numba.from_dtype, (game.state, variant.records().dtype))
-    of_game: Any = {world.furnish: (None,), settle: ()} if world else CALLED[game.name]
-    of_state = {game.rules.step: (INT,), **of_game}
-    called: dict[str, tuple[Callable, tuple[Any, ...]]] = {
-        kernel.__name__: (kernel, (state, *(kind or record for kind in further)))
-        for kernel, further in of_state.items()
-    }
     symbols = game.symbols
-    called["background_planes"] = symbols.background_planes, (state, PLANES)
-    called["foreground_planes"] = symbols.foreground_planes, (state, PLANES, PLANES)
+
+    def typed(kernel: Callable, *further: Any) -> tuple[Callable, tuple[Any, ...]]:
+        return kernel, (state, *(kind or record for kind in further))
+
+    called = {
+        "step": typed(game.rules.step, INT),
+        "background_planes": typed(symbols.background_planes, PLANES),
+        "foreground_planes": typed(symbols.foreground_planes, PLANES, PLANES),
+    }
+    if world:
+        called |= {"furnish": typed(world.furnish, None), "settle": typed(settle)}
+        called |= {f"seek {goal}": typed(aim(world.seek, goal)) for goal in world.events}
+    else:
+        called |= {one.__name__: typed(one, *further) for one, further in CALLED[game.name].items()}
     if game.name == "heist":
         called["hand_in"] = hand_in, (types.Array(INT, 2, "C"), INT, INT, INT)
-    if world:
-        called |= {f"seek {goal}": (aim(world.seek, goal), (state,)) for goal in world.events}
     editing, places, choices = game.editing, game.places, knobs(type(variant)).items()
     assert isinstance(places, Placement)
     told = {
