@@ -149,26 +149,21 @@ export class Panels {
     const tools = [["hand", "Move"], ["wall", "Wall"], ...objects.slice(0, 4)
       .map((name) => [name, capital(named(lab, name))])];
     if (!tools.some(([name]) => name === lab.editor.tool)) lab.editor.tool = "hand";
-    this.part("tools").replaceChildren(...tools.map(([name, text]) => {
-      const button = made("button", { textContent: text });
-      button.dataset.tool = name;
-      button.setAttribute("aria-pressed", String(lab.editor.tool === name));
-      button.addEventListener("click", () => {
-        lab.editor.tool = name;
-        for (const one of this.part("tools").children) one.setAttribute("aria-pressed", String(one === button));
-      });
-      return button;
-    }));
+    const buttons = tools.map(([name, text]) => made("button", { onclick: () => hold(name) }, text));
+    const hold = (held) => {
+      lab.editor.tool = held;
+      tools.forEach(([name], k) => buttons[k].setAttribute("aria-pressed", String(name === held)));
+    };
+    tools.forEach(([name], k) => { buttons[k].dataset.tool = name; });
+    hold(lab.editor.tool);
+    this.part("tools").replaceChildren(...buttons);
   }
 
   // Buttons for actions that no arrow key stands for: pick up, drop.
   #acts() {
     const { lab } = this;
-    this.part("acts").replaceChildren(...lab.further.map((name, k) => {
-      const button = made("button", { textContent: capital(name), title: `${name} (${k + 1})` });
-      button.addEventListener("click", () => lab.act(name));
-      return button;
-    }));
+    this.part("acts").replaceChildren(...lab.further.map((name, k) =>
+      made("button", { title: `${name} (${k + 1})`, onclick: () => lab.act(name) }, capital(name))));
   }
 
   async #agent(value) {
@@ -308,9 +303,9 @@ export class Panels {
     const box = this.part("legend");
     box.hidden = !layer;
     if (!layer) return;
-    const ramp = made("span", { className: "ramp" });
     const stops = Array.from({ length: 9 }, (_, k) => (layer.signed ? signed(k / 4 - 1) : heat(k / 8)));
-    ramp.style.background = `linear-gradient(to right, ${stops.join(", ")})`;
+    const style = `background: linear-gradient(to right, ${stops.join(", ")})`;
+    const ramp = made("span", { className: "ramp", style });
     const told = (amount) => (layer.percent ? percent(amount) : amount.toFixed(2));
     box.replaceChildren(`${layer.name}: ${told(layer.low)}`, ramp, told(layer.high));
   }

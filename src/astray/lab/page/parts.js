@@ -2,8 +2,12 @@
 
 export const percent = (rate) => `${Math.round(100 * rate)}\u00a0%`;
 
-// An element with its properties.
-export const made = (kind, properties) => Object.assign(document.createElement(kind), properties);
+// An element with its properties, and what is in it.
+export function made(kind, properties, ...inner) {
+  const element = Object.assign(document.createElement(kind), properties);
+  element.append(...inner);
+  return element;
+}
 
 // Fill a choice with [value, text] pairs, and keep what is chosen where it is among them.
 export function options(select, pairs, chosen) {
@@ -25,34 +29,20 @@ export const capital = (text) => text[0].toUpperCase() + text.slice(1);
 
 // A line of a key: a colour (none: a dashed line) and what it means.
 export function keyed(colour, text) {
-  const item = document.createElement("li");
-  const box = document.createElement("i");
-  if (colour) box.style.background = colour;
-  else box.className = "dashed";
-  item.append(box, text);
-  return item;
+  const look = colour ? { style: `background: ${colour}` } : { className: "dashed" };
+  return made("li", {}, made("i", look), text);
 }
 
 // A bar that is as long as a count is of a total.
 export function bar(name, count, total, colour) {
-  const row = made("div", { className: "bar" });
-  const label = made("span", { textContent: name });
-  const track = made("div", { className: "track" });
-  const filled = made("div");
-  const told = made("span", { textContent: `${count} of ${total} (${percent(count / total)})` });
-  filled.style.width = `${(100 * count) / total}%`;
-  filled.style.background = colour;
-  track.append(filled);
-  row.append(label, track, told);
-  return row;
+  const filled = made("div", { style: `width: ${(100 * count) / total}%; background: ${colour}` });
+  return made("div", { className: "bar" }, made("span", {}, name),
+    made("div", { className: "track" }, filled),
+    made("span", {}, `${count} of ${total} (${percent(count / total)})`));
 }
 
 export function fillTable(table, head, rows) {
-  const line = (cells, kind) => {
-    const row = document.createElement("tr");
-    row.append(...cells.map((text) => made(kind, { textContent: text })));
-    return row;
-  };
+  const line = (cells, kind) => made("tr", {}, ...cells.map((text) => made(kind, {}, text)));
   table.replaceChildren(line(head, "th"), ...rows.map((cells) => line(cells, "td")));
 }
 

@@ -38,9 +38,5 @@ function bookmarks(lab, marks) {
   const box = lab.part("bookmarks");
   const texts = marks.map(([name, step]) => `${name}: step ${step}`);
   if (texts.join() === [...box.children].map((one) => one.textContent).join()) return; // keeps the focus
-  box.replaceChildren(...marks.map(([, step], k) => {
-    const button = made("button", { textContent: texts[k] });
-    button.addEventListener("click", () => lab.go(step));
-    return button;
-  }));
+  box.replaceChildren(...marks.map(([, step], k) => made("button", { onclick: () => lab.go(step) }, texts[k])));
 }
