@@ -5,6 +5,12 @@ export function plain({ grid, agent, looks }) {
   return { grid, agent, looks };
 }
 
+// The shift of an agent, or else of a variant; undefined where the game has none for it.
+export function shiftOf({ agents, games }, { agent, game, variant }) {
+  const { shifts } = games[game];
+  return shifts[agents[agent]?.shift] ?? Object.values(shifts).find((s) => [s.train, s.test].includes(variant));
+}
+
 // Looks of single cells go where their objects go: from one cell to another, or away.
 export function carried(looks, from, to = null) {
   if (!Array.isArray(looks?.details)) return looks;

@@ -5,6 +5,7 @@ import { goalColours, heat, signed, words } from "./draw/colours.js";
 import { meanWay, rateOfWays } from "./draw/arrows.js";
 import { drawSight } from "./draw/sight.js";
 import { save } from "./files.js";
+import { shiftOf } from "./level.js";
 import { bar, capital, fillTable, keyed, made, named, options, percent, round } from "./parts.js";
 import { levels } from "./rules/constants.js";
 import { showTimeline } from "./timeline.js";
@@ -93,9 +94,7 @@ export class Panels {
   }
 
   get shift() {
-    const { about, agent, game, rules, variant } = this.lab;
-    const named = rules.shifts[about.agents[agent]?.shift];
-    return named ?? Object.values(rules.shifts).find((s) => [s.train, s.test].includes(variant));
+    return shiftOf(this.lab.about, this.lab);
   }
 
   get last() {

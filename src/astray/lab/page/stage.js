@@ -157,15 +157,13 @@ export class Stage {
     const { lab } = this;
     const { paint, scale, top } = brush;
     const ink = themed(this.canvas, "--held");
-    if (!lab.broken) {
-      const { view } = lab.look;
-      if (view && !lab.part("zoom").checked) {
-        const { x, y } = this.state;
-        for (const [style, width] of [["rgba(255,255,255,.8)", 4], [ink, 2]]) {
-          paint.strokeStyle = style;
-          paint.lineWidth = width;
-          paint.strokeRect((x - view / 2) * scale, (top - y - view / 2) * scale, view * scale, view * scale);
-        }
+    const { view } = lab.look;
+    if (view && !lab.broken && !lab.part("zoom").checked) {
+      const { x, y } = this.state;
+      for (const [style, width] of [["rgba(255,255,255,.8)", 4], [ink, 2]]) {
+        paint.strokeStyle = style;
+        paint.lineWidth = width;
+        paint.strokeRect((x - view / 2) * scale, (top - y - view / 2) * scale, view * scale, view * scale);
       }
     }
     const { cursor } = lab.editor;

@@ -37,10 +37,6 @@ function stroke(paint, points, colour, width, dashes = []) {
   paint.stroke();
 }
 
-function cursor(paint, x, height, colour) {
-  stroke(paint, [[x, 18], [x, height - 14]], colour, 1); // below the names
-}
-
 // goals: {name: [T + 1]}, stacked from below; agent: [T + 1] or null, a dashed line.
 export function drawPosterior(canvas, { goals, agent }, colours, now) {
   const height = 150;
@@ -63,8 +59,7 @@ export function drawPosterior(canvas, { goals, agent }, colours, now) {
   }
   if (agent) stroke(paint, agent.map((rate, t) => [across(t), down(rate)]), INK, 1.6, [4, 3]);
   axis(paint, [[0, "0 %"], [0.5, "50 %"], [1, "100 %"]], down, soft, line, width);
-  steps(paint, last, across, height, soft);
-  cursor(paint, across(Math.min(now, last)), height, ink);
+  steps(paint, last, across, height, soft, ink, now);
 }
 
 function axis(paint, marks, down, soft, line, width) {
@@ -77,13 +72,16 @@ function axis(paint, marks, down, soft, line, width) {
   }
 }
 
-function steps(paint, last, across, height, soft) {
+// The first step, the last, and a line at the one that is shown.
+function steps(paint, last, across, height, soft, ink, now) {
+  const x = across(Math.min(now, last));
   paint.fillStyle = soft;
   paint.textBaseline = "alphabetic";
   paint.textAlign = "left";
   paint.fillText("step 0", across(0), height - 2);
   paint.textAlign = "right";
   if (last > 0) paint.fillText(String(last), across(last), height - 2);
+  stroke(paint, [[x, 18], [x, height - 14]], ink, 1); // below the names
 }
 
 // The value of every step as a curve, advantages as bars, events as marks with their names.
@@ -123,8 +121,7 @@ export function drawTimeline(canvas, { value, advantage, events, last }, now) {
   paint.textAlign = "center";
   paint.fillText("adv.", 0, 4);
   paint.restore();
-  steps(paint, last, across, height, soft);
-  cursor(paint, across(Math.min(now, last)), height, ink);
+  steps(paint, last, across, height, soft, ink, now);
 }
 
 // The step at a place of a chart, from its left edge in pixels.

@@ -8,6 +8,7 @@ import { noise, sample } from "../agent/noise.js";
 import { readTable } from "../agent/table.js";
 import { NEVER, WALL } from "../rules/common.js";
 import { goals } from "../rules/constants.js";
+import { shiftOf } from "../level.js";
 import { effects, played, snapshot, take, told } from "./episodes.js";
 import { firstGoal, namedPlaces, waysPart } from "./goals.js";
 import { read, splayed, textOf, whole } from "./levels.js";
@@ -113,9 +114,11 @@ export class LocalEngine {
     }
     const policyAndValue = await this.loading.get(agent);
     const drawn = about.seed + seed;
-    const act = (s, policy) => mode === "greedy"
-      ? policy.indexOf(Math.max(...policy))
-      : sample(policy, noise(drawn, s.level, s.time, policy.length));
+    const act = (s, rules) => {
+      const { policy } = policyAndValue(s, rules);
+      return mode === "greedy" ? policy.indexOf(Math.max(...policy))
+        : sample(policy, noise(drawn, s.level, s.time, policy.length));
+    };
     return { policyAndValue, act };
   }
 
@@ -152,8 +155,7 @@ export class LocalEngine {
     yield told(episode, 0, agent, world.rules);
     const steps = agent ? (message.steps ?? 0) : 0;
     for (let first = episode.states.length, k = 0; k < steps && !episode.ended; k++) {
-      const { policy } = agent.policyAndValue(episode.states.at(-1), world.rules);
-      take(episode, world.rules, agent.act(episode.states.at(-1), policy));
+      take(episode, world.rules, agent.act(episode.states.at(-1), world.rules));
       if (episode.ended || k + 1 === steps || (k + 1) % 8 === 0) {
         yield told(episode, first, agent, world.rules);
         first = episode.states.length;
@@ -188,12 +190,10 @@ export class LocalEngine {
     yield { goals, agent: null, cells, rates };
   }
 
-  shift({ agent, game, variant }) {
-    const { shifts } = this.about.games[game];
-    const named = shifts[this.about.agents[agent]?.shift];
-    const found = Object.values(shifts).find((s) => s.train === variant || s.test === variant);
-    if (!named && !found) throw new Error(`${game} must have a shift between goals for this`);
-    return named ?? found;
+  shift(message) {
+    const found = shiftOf(this.about, message);
+    if (!found) throw new Error(`${message.game} must have a shift between goals for this`);
+    return found;
   }
 
   // Known of mazes alone, whose goals are cells that the agent walks to; null elsewhere.
@@ -224,8 +224,7 @@ export class LocalEngine {
         const episode = played(begun, []);
         const reached = () => firstGoal(episode.states.at(-1), shift, events);
         while (!episode.ended && reached() === NEITHER) {
-          const { policy } = agent.policyAndValue(episode.states.at(-1), begun.rules);
-          take(episode, begun.rules, agent.act(episode.states.at(-1), policy));
+          take(episode, begun.rules, agent.act(episode.states.at(-1), begun.rules));
           episode.states.splice(0, episode.states.length - 1);
         }
         outcomes[reached()] = (outcomes[reached()] ?? 0) + 1;

@@ -1,13 +1,10 @@
 // Drawing of a game of cells: with its sprites, or else the characters of its drawings.
 
 import { eachCell, heading } from "./common.js";
-import { common } from "../rules/constants.js";
-
-const { WALL } = common;
 
 const FILLS = { ".": "#f1efe8", "#": "#8d8a80" };
 
-export const look = { still, moving, direction: heading, wall: WALL, proxies: () => ({}), plain: true };
+export const look = { still, moving, direction: heading, proxies: () => ({}), plain: true };
 
 // Visit each cell: `visit` is called with the names of drawings, or with a character alone.
 function each(level, s, { legend, pictures = {} }, visit) {

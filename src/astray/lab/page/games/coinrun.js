@@ -9,9 +9,7 @@ const {
 } = coinrun;
 const SKY = "#cfe3ea";
 
-export const look = {
-  still, moving, direction: heading, agent: "runner", wall: WALL, view: VIEW, proxies, wide,
-};
+export const look = { still, moving, direction: heading, agent: "runner", view: VIEW, proxies, wide };
 
 function still(brush, { grid, looks }, s, pictures) {
   const ground = GROUNDS[s.ground] ?? "dirt";

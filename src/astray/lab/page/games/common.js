@@ -1,5 +1,7 @@
 // Shared by the drawings of several games. World coordinates are cells, y upward.
 
+import { common } from "../rules/constants.js";
+
 // A brush that draws in cells on a canvas; top is the height of the world in cells.
 export class Brush {
   constructor(paint, scale, top) {
@@ -19,20 +21,22 @@ export class Brush {
     paint.restore();
   }
 
-  // A picture that fills the cell (x, y), without gaps between cells.
-  tile(image, x, y) {
-    const { paint, scale, top } = this;
+  // The pixels of the cell (x, y), without gaps between cells: left, up, width, height.
+  #pixels(x, y) {
+    const { scale, top } = this;
     const [left, right] = [Math.round(x * scale), Math.round((x + 1) * scale)];
     const [up, down] = [Math.round((top - y - 1) * scale), Math.round((top - y) * scale)];
-    if (image) paint.drawImage(image, left, up, right - left, down - up);
+    return [left, up, right - left, down - up];
+  }
+
+  // A picture that fills a cell.
+  tile(image, x, y) {
+    if (image) this.paint.drawImage(image, ...this.#pixels(x, y));
   }
 
   fill(colour, x, y) {
-    const { paint, scale, top } = this;
-    const [left, right] = [Math.round(x * scale), Math.round((x + 1) * scale)];
-    const [up, down] = [Math.round((top - y - 1) * scale), Math.round((top - y) * scale)];
-    paint.fillStyle = colour;
-    paint.fillRect(left, up, right - left, down - up);
+    this.paint.fillStyle = colour;
+    this.paint.fillRect(...this.#pixels(x, y));
   }
 
   // Begins a path: through points, or around one.
@@ -72,6 +76,14 @@ export class Brush {
 
 export function eachCell(grid, visit) {
   grid.forEach((row, y) => row.forEach((what, x) => visit(what, x, y)));
+}
+
+// The walls of a maze as a picture, and its floor in a colour.
+export function drawMaze(brush, grid, wall, floor) {
+  eachCell(grid, (what, x, y) => {
+    if (what === common.WALL) brush.tile(wall, x, y);
+    else brush.fill(floor, x, y);
+  });
 }
 
 // Where an action leads by its name: [x, y], each -1, 0 or 1.

@@ -1,21 +1,16 @@
 // Drawing of Maze in the lab.
 
-import { eachCell, heading } from "./common.js";
-import { common, maze } from "../rules/constants.js";
+import { drawMaze, heading } from "./common.js";
+import { maze } from "../rules/constants.js";
 
-const { WALL } = common;
 const { WALLS, OTHERS, COLOURS } = maze;
 const FLOOR = "#ece6d6";
 const UNSEEN = "rgba(60, 60, 60, 0.35)"; // the outline of an object that the agent does not see
 
-export const look = { still, moving, direction, agent: "mouse", wall: WALL, proxies, has, holds };
+export const look = { still, moving, direction, agent: "mouse", proxies, has, holds };
 
 function still(brush, { grid }, s, pictures) {
-  const wall = pictures.get(`wall-${WALLS[s.walls]}`);
-  eachCell(grid, (what, x, y) => {
-    if (what === WALL) brush.tile(wall, x, y);
-    else brush.fill(FLOOR, x, y);
-  });
+  drawMaze(brush, grid, pictures.get(`wall-${WALLS[s.walls]}`), FLOOR);
 }
 
 function moving(brush, level, s, pictures) {

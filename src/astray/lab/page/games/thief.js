@@ -1,14 +1,14 @@
 // Drawing of Heist, and of Keys and Chests: a thief, and things in the cells of a maze.
 
-import { eachCell, heading } from "./common.js";
-import { common, thief as body } from "../rules/constants.js";
+import { drawMaze, heading } from "./common.js";
+import { thief as body } from "../rules/constants.js";
 
-const { WALL } = common;
 const FLOORS = "#e9e4dc";
 
 // thing: the picture of a thing and its size in cells; hand: the pictures of what is in hand.
 export const look = (thing, hand) => ({
-  still, direction: heading, agent: "thief", wall: WALL, proxies: () => ({}),
+  direction: heading, agent: "thief", proxies: () => ({}),
+  still: (brush, { grid }, s, pictures) => drawMaze(brush, grid, pictures.get("wall-brick"), FLOORS),
   moving(brush, level, s, pictures) {
     for (let k = 0; k < s.objects; k++) {
       if (s.gone[k] >= 0) continue;
@@ -21,14 +21,6 @@ export const look = (thing, hand) => ({
     });
   },
 });
-
-function still(brush, { grid }, s, pictures) {
-  const wall = pictures.get("wall-brick");
-  eachCell(grid, (what, x, y) => {
-    if (what === WALL) brush.tile(wall, x, y);
-    else brush.fill(FLOORS, x, y);
-  });
-}
 
 function thief(brush, s, pictures) {
   const { paint, scale, top } = brush;
