@@ -124,9 +124,12 @@ class Agents:
         except ValueError:
             shift = next(iter(game.shifts), "")
         test = game.shifts[shift].test if shift else config.variant
+        own = dict(_own_variants(config, game))
+        knobs = {name: variant.unlike(game.variants[name]) for name, variant in own.items()}
         return _told(agent, game, config.variant, test, shift) | {
-            "variants": [n for n, v in _own_variants(config, game) if sees(agent, game, v)],
-            "network": config.network, "knobs": _knobs(config, game), "steps": config.steps,
+            "variants": [name for name, variant in own.items() if sees(agent, game, variant)],
+            "network": config.network, "steps": config.steps,
+            "knobs": {name: changed for name, changed in knobs.items() if changed},
             "gamma": config.gamma, "lam": config.lam,
             "reward_deviation": AgentFolder.of(agent.path).deviation(),
         }  # fmt: skip
@@ -152,12 +155,6 @@ def _told(policy: Shown, game: Game, train: str, test: str, shift: str) -> dict[
         "caveat": policy.caveat,
         "layers": {} if isinstance(policy, Opaque) else {n: [*s] for n, s in layers(policy).items()}
     }  # fmt: skip
-
-
-def _knobs(config: Config, game: Game) -> dict[str, dict[str, Any]]:
-    """Return the knobs that are changed for the agent, by variant."""
-    own = {n: variant.unlike(game.variants[n]) for n, variant in _own_variants(config, game)}
-    return {name: changed for name, changed in own.items() if changed}
 
 
 def _own_variants(config: Config, game: Game) -> Iterator[tuple[str, Variant]]:

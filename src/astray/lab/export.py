@@ -162,13 +162,11 @@ def _variants(lab: Lab, game: Game, about: Mapping[str, Any], named: str | None)
     A game without an agent has those of its first shift.
     """
     wanted = {named, lab.start["variant"] if lab.start["game"] == game.name else None}
-    if all(told["game"] != game.name for told in about.values()):
-        wanted |= {
-            name for shift in [*game.shifts.values()][:1] for name in (shift.train, shift.test)
-        }
-    for told in about.values():
-        if told["game"] == game.name:
-            wanted |= {told["variant"], told["test"]} & set(told["variants"])
+    agents = [told for told in about.values() if told["game"] == game.name]
+    for told in agents:
+        wanted |= {told["variant"], told["test"]} & set(told["variants"])
+    for shift in [] if agents else [*game.shifts.values()][:1]:
+        wanted |= {shift.train, shift.test}
     return [name for name in game.variants if name in wanted]
 
 

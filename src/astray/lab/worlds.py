@@ -15,7 +15,7 @@ from astray import games, grid
 from astray.acting import Asking, Onward, Policy, Step, Turn, initial_states, play
 from astray.analysis.replay import Script
 from astray.envs.beginnings import without_autoreset
-from astray.envs.vector import GameVectorEnv, quickest
+from astray.envs.vector import quickest
 from astray.game import Game, Variant
 from astray.lab.messages import Message
 from astray.level import Level
@@ -156,7 +156,9 @@ class Episode:
 
     def play(self, policy: Policy, steps: int) -> Iterator[Step]:
         """Continue with a policy's actions for at most `steps` steps, and record each."""
-        env, asking = environment(self.world, policy.observation, policy.art), Asking(policy)
+        world, asking = self.world, Asking(policy)
+        shown = policy.observation or quickest(world.game)
+        env = without_autoreset(world.game, world.variant, 1, shown, policy.art)
         for before in self.states[:-1]:  # a policy with memory remembers them
             asking.send(0, 0, Turn.of(env, env.set_state(before)))
             if asking.receive(0).memory is None:
@@ -199,9 +201,3 @@ def play_on(episode: Episode | None, world: World, actions: Sequence[int]) -> Ep
         if taken < left:
             raise ValueError(f"the episode has ended after {same + taken} steps")
     return episode
-
-
-def environment(world: World, observation: Any = None, art: str = "own") -> GameVectorEnv:
-    """Return one environment of the world's game."""
-    shown = observation or quickest(world.game)
-    return without_autoreset(world.game, world.variant, 1, shown, art)
