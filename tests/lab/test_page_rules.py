@@ -94,6 +94,24 @@ def compare(page, name, kind, episodes):
         assert ended or len(told) == len(actions) + 1
 
 
+@pytest.mark.parametrize("name, kind", [PLAYED[0], PLAYED[5], PLAYED[10]])
+def test_a_level_without_looks_has_the_floor_of_its_variant(page, name, kind):
+    game = games.find(name)
+    variant = game.variant(kind).with_knobs({"background": 4})
+    level = Level.of(game, variant, initial_states(game, variant, [1])[0])
+    bare = Level.from_text(game, variant, str(level))
+    told = page.evaluate(
+        """async ([path, { looks, ...level }, variant]) => {
+          const { rules } = await import(new URL(path, location.href));
+          const s = rules.build(level, variant);
+          return [s.background, s.background_offset];
+        }""",
+        [rules.entry(game), bare.to_json(), knobs(variant)],
+    )
+    s = bare.state(solvable=False)
+    assert told == [s.background, s.background_offset] == [4, 0]
+
+
 EFFECTS = """async ([path, level, variant, actions, count]) => {
   const { rules } = await import(new URL(path, location.href));
   const { effects, played } = await import(new URL("engine/episodes.js", location.href));

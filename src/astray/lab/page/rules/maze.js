@@ -36,7 +36,7 @@ function build(s, p, { grid, cell, looks }) {
   s.dish_planes = p.dish_planes;
   const corner = [0, 1].map((axis) => Math.max(...free.map((one) => one[axis])));
   [s.corner_x, s.corner_y] = grid[corner[1]][corner[0]] === WALL ? [NEVER, NEVER] : corner;
-  s.background = looks.background ?? 0;
+  s.background = looks.background ?? Math.max(p.background, 0);
   s.background_offset = looks.background_offset ?? 0;
   game.note_arrivals(s);
 }

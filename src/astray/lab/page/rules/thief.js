@@ -16,7 +16,7 @@ export function begin(game, s, p, { grid, cell, looks }) {
   }
   lay(s, grid, (what) => Number(what === WALL));
   [s.x, s.y] = [cell[0] + 0.5, cell[1] + 0.5];
-  s.background = looks.background ?? 0;
+  s.background = looks.background ?? Math.max(p.background, 0);
   s.background_offset = looks.background_offset ?? 0;
   [s.twister, s.twister_at] = looks.twister ?? [NEVER, 0];
   game.seed_twister(s, Math.max(s.twister, 0));
