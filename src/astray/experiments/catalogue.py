@@ -9,7 +9,6 @@ import importlib.util
 import pkgutil
 import re
 import traceback
-from collections.abc import Iterator
 from pathlib import Path
 
 from astray import imports
@@ -19,19 +18,13 @@ from astray.files import check_readable
 from astray.validation import brief, of_kind, one_of, slug
 
 LARGEST = 2**20  # bytes of a file of Python
-
-
-def _modules() -> Iterator[tuple[str, str]]:
-    """Return the name and module of every study."""
-    for group in pkgutil.iter_modules(studies.__path__):
-        folders = [str(Path(path) / group.name) for path in studies.__path__]
-        for study in pkgutil.iter_modules(folders):
-            if not study.name.startswith("_"):
-                module = f"{studies.__name__}.{group.name}.{study.name}"
-                yield study.name.replace("_", "-"), module
-
-
-MODULES = dict(sorted(_modules()))
+MODULES = dict(  # of studies, by their names
+    sorted(
+        (one.name.rpartition(".")[2].replace("_", "-"), one.name)
+        for one in pkgutil.walk_packages(studies.__path__, f"{studies.__name__}.")
+        if not one.ispkg and "._" not in one.name
+    )
+)
 NAMES = tuple(MODULES)
 
 
