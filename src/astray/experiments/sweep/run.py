@@ -47,7 +47,10 @@ def run_sweep(
         agents = {name: config for plan in plans.values() for name, config in plan.agents.items()}
         joined = replace(next(iter(plans.values())), agents=agents, tests={}, first_level=None)
         runs = train_agents(joined, folder, workers, on, track)
-        _note(sweep, folder)
+        # A later one in the folder may have other values or more seeds.
+        axes = {name: list(values) for name, values in sweep.axes.items()}
+        settings = vars(sweep) | {"base": sweep.base.to_json(), "axes": axes}
+        write_aside(folder / SWEPT, json.dumps(settings, indent=1).encode())
         parts = [_episodes(sweep, folder, cell, plan, runs) for cell, plan in plans.items()]
         episodes = pl.concat(parts, how="diagonal_relaxed")
         write_table(episodes, folder / OUTCOMES)
@@ -55,18 +58,6 @@ def run_sweep(
         table = rates(episodes, by, outcomes_of(sweep.base.find_game()))
         write_table(table, folder / RATES)
         return report.write(heading(sweep, folder), findings(sweep, episodes, table), folder)
-
-
-def _note(sweep: Sweep, folder: Path) -> None:
-    """Record the sweep; a later one in the folder may have other values or more seeds."""
-    data = {
-        "base": sweep.base.to_json(),
-        "axes": {k: list(v) for k, v in sweep.axes.items()},
-        "seeds": sweep.seeds,
-        "levels": sweep.levels,
-        "shift": sweep.shift,
-    }
-    write_aside(folder / SWEPT, json.dumps(data, indent=1).encode())
 
 
 def _episodes(sweep: Sweep, folder: Path, cell: Cell, plan: Plan, runs: Runs) -> pl.DataFrame:

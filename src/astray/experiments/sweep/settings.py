@@ -57,9 +57,8 @@ class Sweep:
 
     def cells(self) -> dict[Cell, Config]:
         """Return the settings of each combination, without the seed."""
-        names = list(self.axes)
         return {
-            values: changed(self.base, dict(zip(names, values, strict=True)))
+            values: changed(self.base, dict(zip(self.axes, values, strict=True)))
             for values in itertools.product(*self.axes.values())
         }
 
