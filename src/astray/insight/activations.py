@@ -9,7 +9,6 @@ module's output. This works for every network: astray's own, imported and custom
 """
 
 import contextlib
-import functools
 import io
 import itertools
 import json
@@ -187,7 +186,16 @@ def capture(
     check_measures(measures, columns)
     columns |= {name: measured(name, one, states) for name, one in (measures or {}).items()}
     labels = pl.DataFrame(columns)
-    fill = functools.partial(_fill, agent, variant, states, batch, begins)
+
+    def fill(values: Mapping[str, np.ndarray]) -> None:
+        """Write the activations into `values`, by episodes if these are whole."""
+        firsts = range(0, n, batch) if begins is None else np.flatnonzero(begins)
+        for part in itertools.starmap(slice, itertools.pairwise([*firsts, n])):
+            shown = observe(agent, variant, states[part])
+            first = None if begins is None else begins[part]
+            for name, some in activations(agent, shown, list(values), first).items():
+                values[name][part] = some
+
     if folder is not None:
         return _capture_aside(n, shapes, labels, folder, fill)
     check_memory(4 * n * sum(int(np.prod(s)) for s in shapes.values()), "activations")
@@ -211,24 +219,6 @@ def beginnings_in(states: np.ndarray) -> np.ndarray:
             "another, as `critic.visit` returns them without `per_episode`"
         )
     return begins
-
-
-def _fill(
-    agent: Model,
-    variant: str | Variant,
-    states: np.ndarray,
-    batch: int,
-    begins: np.ndarray | None,
-    values: Mapping[str, np.ndarray],
-) -> None:
-    """Write activations in `states` into `values`, by episodes where `begins` is given."""
-    n = len(states)
-    firsts = range(0, n, batch) if begins is None else np.flatnonzero(begins)
-    for part in itertools.starmap(slice, itertools.pairwise([*firsts, n])):
-        shown = observe(agent, variant, states[part])
-        first = None if begins is None else begins[part]
-        for name, some in activations(agent, shown, list(values), first).items():
-            values[name][part] = some
 
 
 def _capture_aside(
