@@ -94,14 +94,13 @@ def heat_map(level: Level, heat: Mapping[Any, float], *, art: str = OWN, **how: 
         legend = level.game.editing.LEGEND
         free = [legend[EMPTY], *(legend[char] for char in level.game.editing.OBJECTS.values())]
         image = np.where(np.isin(level.cells, free), np.nan, 0.65)[::-1]
-        things = [cell for name in level.game.editing.OBJECTS for cell in level.where(name)]
-        seen = np.array([*cells.tolist(), level.agent, *things])
-        (left, low), (right, high) = seen.min(0) - 1, seen.max(0) + 2
         how["letters"] = {
             cell: char
             for name, char in level.game.editing.OBJECTS.items()
             for cell in level.where(name)
         }
+        seen = np.array([*cells.tolist(), level.agent, *how["letters"]])
+        (left, low), (right, high) = seen.min(0) - 1, seen.max(0) + 2
         window = max(left, 0), min(right, width), max(low, 0), min(high, height)
     return Picture(image=image, heat=grid[::-1], window=window, **how)
 
