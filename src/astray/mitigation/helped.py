@@ -163,11 +163,11 @@ def play(
     query, or null), highest (score), moment (in `MOMENTS`, of the first query; null without
     `watch`), and the game's events (their steps, or null).
     """
-    return _with_help(*_recorded(policy, game, variant, levels, watch), pl.col("helped"), "score")
+    return _with_help(*play_alone(policy, game, variant, levels, watch), pl.col("helped"), "score")
 
 
 def play_alone(
-    policy: Alone,
+    policy: Policy,
     game: str | Game,
     variant: str | Variant,
     levels: Levels,
@@ -177,15 +177,8 @@ def play_alone(
 
     The first has a row per level (level, return, length and the game's events). The second has a
     row per step: level (index in `levels`), time, moment (index in `MOMENTS`, -1 without `watch`),
-    and one column per score, named by its position.
+    and one column per score, named by its position (of other policies, all that they record).
     """
-    return _recorded(policy, game, variant, levels, watch)
-
-
-def _recorded(
-    policy: Policy, game: str | Game, variant: str | Variant, levels: Levels, watch: Watch | None
-) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Play; return the tables of `play_alone`, the second with all that the policy records."""
     game, n = games.find(game), count_levels(levels)
     returns, rows, seen, parts = np.zeros(n), [{}] * n, np.zeros(n, bool), []
     for step in steps(policy, game, variant, levels):
