@@ -228,64 +228,65 @@ def _walk(world: World, policy: str, rng: np.random.Generator) -> Episode:
 def claims_of(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> list[Claim]:
     """Return the claims of the paper, and of our improved measure."""
 
-    def about(text: str, paper: str, kinds: tuple[str, ...], preset: str, sign: int) -> None:
+    def about(text: str, paper: str, kinds: tuple[str, ...], preset: str, sign: int) -> Claim:
         part = table.filter(pl.col("type").is_in(kinds), pl.col("preset") == preset)
         low, high = span(part["log factor"])
         ours = f"mean log Bayes factor from {low:+.1f} to {high:+.1f} nats over the maps"
         supported = span(part["low"])[0] > 0 if sign > 0 else span(part["high"])[1] < 0
-        claims.append(Claim(text, paper, ours, supported))
+        return Claim(text, paper, ours, supported)
 
-    claims: list[Claim] = []
-    about(
-        "Trajectories that go to a goal, be it the wrong one, are agents on average on every map.",
-        "p(agent) 0.9999, for one trajectory of each of three types",
-        GOAL_DIRECTED,
-        "paper",
-        +1,
-    )
     fixed, _ = span(goals.filter(type="goal misgeneralization")["p(fixed goal)"])
     true, _ = span(goals.filter(type="robust")["p(true goal)"])
-    claims.append(
+    published = "p(agent) 0.0674, for one trajectory"
+    aimless = called.filter(pl.col("policy").is_in(list(WALKERS)))
+    calibrated, paper, bound = (
+        100 * span(aimless[name])[1] for name in ("calibrated", "paper", "calibrated, high")
+    )
+    return [
+        about(
+            "Trajectories that go to a goal, be it the wrong one, are agents on average on every "
+            "map.",
+            "p(agent) 0.9999, for one trajectory of each of three types",
+            GOAL_DIRECTED,
+            "paper",
+            +1,
+        ),
         Claim(
             "Together they give away what they pursue: the fixed goal, or the true one wherever "
             "it is.",
             "not measured",
             f"from {POOLED} trajectories with probability at least {fixed:.3f} and {true:.3f}",
             min(fixed, true) > 0.5,
-        )
-    )
-    published = "p(agent) 0.0674, for one trajectory"
-    about(
-        "Capability failures are devices on average on every map.", published, (LOST,), "paper", -1
-    )
-    about(
-        "So are at least those that never meet the memorised way.",
-        published,
-        (NEVER_ON_WAY,),
-        "paper",
-        -1,
-    )
-    about(
-        "By the calibrated measure, those are devices.",
-        "not measured",
-        (NEVER_ON_WAY,),
-        "calibrated",
-        -1,
-    )
-    aimless = called.filter(pl.col("policy").is_in(list(WALKERS)))
-    calibrated, paper, bound = (
-        100 * span(aimless[name])[1] for name in ("calibrated", "paper", "calibrated, high")
-    )
-    claims.append(
+        ),
+        about(
+            "Capability failures are devices on average on every map.",
+            published,
+            (LOST,),
+            "paper",
+            -1,
+        ),
+        about(
+            "So are at least those that never meet the memorised way.",
+            published,
+            (NEVER_ON_WAY,),
+            "paper",
+            -1,
+        ),
+        about(
+            "By the calibrated measure, those are devices.",
+            "not measured",
+            (NEVER_ON_WAY,),
+            "calibrated",
+            -1,
+        ),
         Claim(
             "By the calibrated measure, at most one in five of policies without a goal is called "
             "an agent.",
             "not measured",
             f"at most {calibrated:.0f}\u00a0%; by the paper's up to {paper:.0f}\u00a0%",
             bound < 20,
-        )
-    )
-    return claims
+        ),
+    ]
 
 
 def span(column: pl.Series) -> tuple[float, float]:
