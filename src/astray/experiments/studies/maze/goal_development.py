@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
@@ -58,8 +57,11 @@ def find(work: Work) -> Findings:
 
 def claims(work: Work) -> list[Claim]:
     """Test the claims: bounds were set before any checkpoint was played."""
-    random = {name: of(work, None, name) for name in (INTENDED, MISGENERALIZED)}
-    early = {name: of(work, EARLY, name) for name in (INTENDED, MISGENERALIZED)}
+    random, early = (
+        {name: matrix(part, pl.col("outcome") == name) for name in (INTENDED, MISGENERALIZED)}
+        for part in (work.episodes.filter(policy="random"), outcomes.of(work, WHERE, EARLY))
+    )
+    final = matrix(outcomes.of(work, WHERE, FINAL), pl.col("outcome") == INTENDED)
     return [
         above(
             f"After {EARLY} steps it reaches the cheese first more often than random actions do.",
@@ -80,20 +82,10 @@ def claims(work: Work) -> list[Claim]:
             "least 20\u00a0% more often.",
             "not measured",
             f"{INTENDED}, after {FINAL} minus after {EARLY} steps",
-            estimate_paired(of(work, FINAL, INTENDED), early[INTENDED]),
+            estimate_paired(final, early[INTENDED]),
             2 * MARGIN,
         ),
     ]
-
-
-def of(work: Work, agent: str | None, outcome: str) -> np.ndarray:
-    """Return whether an outcome occurred, [1, levels]; agent None is random actions."""
-    mine = (
-        work.episodes.filter(policy="random")
-        if agent is None
-        else work.episodes.filter(policy=outcomes.AGENTS, agent=agent)
-    )
-    return matrix(mine, pl.col("outcome") == outcome)
 
 
 def development(work: Work) -> pl.DataFrame:
