@@ -37,6 +37,11 @@ def find(work: Work) -> Findings:
         name: estimate_mean(theirs["died"].to_numpy()[which])
         for name, which in {"the first section": near, "a later one": ~near}.items()
     }
+    rates = [
+        {"where": f"right and jump {'takes' if k else 'does not take'} it", "what": "taken"}
+        | vars(one)
+        for k, one in where.items()
+    ] + [{"where": f"the coin is in {k}", "what": "died"} | vars(one) for k, one in died.items()]
     bars = fates(theirs, ours)
     return Findings(
         answer=f"The published agent takes the coin in {rounded(agent.mean)} of the levels, a "
@@ -68,20 +73,7 @@ def find(work: Work) -> Findings:
             Table(
                 "foretold",
                 "The rates at which the agent takes the coin, and dies",
-                pl.DataFrame(
-                    [
-                        {
-                            "where": f"right and jump {'takes' if k else 'does not take'} it",
-                            "what": "taken",
-                        }
-                        | vars(one)
-                        for k, one in where.items()
-                    ]
-                    + [
-                        {"where": f"the coin is in {k}", "what": "died"} | vars(one)
-                        for k, one in died.items()
-                    ]
-                ),
+                pl.DataFrame(rates),
             ),
         ],
         settings={

@@ -144,7 +144,7 @@ def find(work: Work) -> Findings:
 
     table = work.keep("curves", lambda: curves(found(), percentiles))
     asked = work.keep("timing", lambda: timing(found()))
-    areas = by_run(table, lambda part: area(part))
+    areas = by_run(table, area)
     costs = by_run(table, lambda part: net_returns(part, COSTS))
     late = too_late(asked)
     shown = late_rates(asked)
@@ -217,11 +217,10 @@ def find(work: Work) -> Findings:
 
 def by_run(table: pl.DataFrame, sum_up: Callable[[pl.DataFrame], pl.DataFrame]) -> pl.DataFrame:
     """Apply `sum_up` to each novice's curves; add columns agent and run."""
-    parts = []
-    for (agent, run), part in table.group_by(["agent", "run"], maintain_order=True):
-        rows = sum_up(part)
-        parts.append(rows.with_columns(agent=pl.lit(agent), run=pl.lit(run)))
-    return pl.concat(parts)
+    return pl.concat(
+        sum_up(part).with_columns(agent=pl.lit(agent), run=pl.lit(run))
+        for (agent, run), part in table.group_by(["agent", "run"], maintain_order=True)
+    )
 
 
 def too_late(asked: pl.DataFrame) -> pl.DataFrame:
@@ -283,8 +282,7 @@ def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list
 def lead(areas: pl.DataFrame) -> float:
     """Return the smallest difference over mice between the areas of goal and entropy scores."""
     by_level = areas.filter(agent=MOUSE, granularity="level")
-    both = (by_level.filter(score=name).sort("run")["area"] for name in (ASTRAY, "entropy"))
-    one, two = both
+    one, two = (by_level.filter(score=name).sort("run")["area"] for name in (ASTRAY, "entropy"))
     return float((one - two).min())  # pyright: ignore
 
 

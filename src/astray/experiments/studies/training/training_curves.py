@@ -130,19 +130,14 @@ def ends_lower(row: dict) -> Claim:
         f"{row['agent']}: training ends with a lower return on the test variant than on the "
         "training variant."
     )
-    if row["lower by"] is None:
-        return Claim(
-            sentence,
-            "lower (a curve)",
-            "too few episodes ended to tell; supported if above 0",
-            False,
-        )
+    paper, lower, agents = "lower (a curve)", row["lower by"], row["agents"]
     if row["low"] is None:
-        one = f"lower by {row['lower by']:.2f}, without an interval; supported if above 0"
-        return Claim(sentence, "lower (a curve)", one, False)
-    agents = row["agents"]
-    lower = Estimate(row["lower by"], row["low"], row["high"], agents, 1, agents, agents - 1)
-    return above(sentence, "lower (a curve)", "lower by", lower, told=Estimate.change)
+        known = "too few episodes ended to tell"
+        if lower is not None:
+            known = f"lower by {lower:.2f}, without an interval"
+        return Claim(sentence, paper, f"{known}; supported if above 0", False)
+    found = Estimate(lower, row["low"], row["high"], agents, 1, agents, agents - 1)
+    return above(sentence, paper, "lower by", found, told=Estimate.change)
 
 
 def collected(size: Size) -> Plan:
