@@ -363,7 +363,7 @@ REFUSED = {
     "return s.row": r"ask0 of a page must return numbers, or a tuple of them; got nestedarray",
     "return unheard": "ask0 must be compiled for a page without Python: .*'unheard'",
     "return CALLED(2.0)": "ask0 must be compiled .* of type .ExternalFunction",
-    "return LARGE[s.a]": "their constants must be at most 1048576 bytes; these are [0-9]{7}",
+    "return LARGE[s.a]": "rules of a page must be at most 1048576 bytes; got [0-9]{7}",
 }
 
 

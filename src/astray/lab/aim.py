@@ -15,6 +15,7 @@ from numba.core import types
 from numba.extending import overload
 
 from astray import grid
+from astray.kernel.jit import kernel
 
 
 def aim(seek: Any, goal: str) -> FunctionType:
@@ -51,12 +52,11 @@ class _Aimed(ast.NodeTransformer):
 
     def visit_Compare(self, node: ast.Compare) -> ast.expr:
         self.generic_visit(node)
-        sides: list[Any] = [node.left, *node.comparators]
-        if isinstance(node.ops[0], ast.Eq | ast.NotEq) and all(
-            isinstance(side, ast.Constant) and isinstance(side.value, str) for side in sides
-        ):  # texts, which compiled code need not know
-            same = len({side.value for side in sides}) == 1
-            return ast.Constant(same == isinstance(node.ops[0], ast.Eq))
+        match node:  # of texts, which compiled code need not know
+            case ast.Compare(
+                ast.Constant(str(one)), [ast.Eq() | ast.NotEq() as op], [ast.Constant(str(two))]
+            ):
+                return ast.Constant((one == two) == isinstance(op, ast.Eq))
         return node
 
     def visit_List(self, node: ast.List) -> ast.expr:
@@ -86,8 +86,9 @@ def _one_cell(found: Any) -> Any:
     raise NotImplementedError  # compiled only
 
 
-def _no_cells() -> Any:
-    raise NotImplementedError  # compiled only
+@kernel
+def _no_cells():
+    return [(0, 0) for _ in range(0)]  # which says of what kind they are
 
 
 @overload(_one_cell, strict=False)
@@ -96,11 +97,6 @@ def _compile_one_cell(found: Any) -> Callable:
     if isinstance(of, types.BaseTuple):
         return lambda found: found[0] if len(found) == 1 else (-1, -1)
     return lambda found: (-1, -1)
-
-
-@overload(_no_cells, strict=False)
-def _compile_no_cells() -> Callable:
-    return lambda: [(0, 0) for _ in range(0)]
 
 
 @overload(grid.where, strict=False)

@@ -93,10 +93,11 @@ def module(game: Game) -> str:
             "looks": world.looks, "agents": list(world.agents),
         }  # fmt: skip
     begin = f"const game = {{ ...{json.dumps(told)}, ...{compiled(called)} }};"
-    of_world = (
-        'import { gridRules } from "../rules/grid.js";\nexport const rules = gridRules(game);'
-    )
-    return _text(f"The rules of {game.name}", begin, of_world if world else "export { game };")
+    ends = [
+        'import { gridRules } from "../rules/grid.js";',
+        "export const rules = gridRules(game);",
+    ]
+    return _text(f"The rules of {game.name}", begin, *(ends if world else ["export { game };"]))
 
 
 def shared() -> bytes:
@@ -105,11 +106,11 @@ def shared() -> bytes:
     cells, found = (types.Array(kind, 2, "C") for kind in (types.boolean, types.int32))
     called: Any = {one.__name__: (one, wide) for one in (rng.mix_two, rng.fraction)}
     called["steps"] = steps, (cells, INT, INT, found)
-    ends = (
-        "export const { mix_two, fraction } = made;\nexport const distances = stepsOf(made.steps);"
-    )
-    begin = f"const made = {compiled(called)};"
-    return _text("Kernels", 'import { stepsOf } from "./memory.js";', begin, ends).encode()
+    return _text(
+        "Kernels", 'import { stepsOf } from "./memory.js";', f"const made = {compiled(called)};",
+        "export const { mix_two, fraction } = made;",
+        "export const distances = stepsOf(made.steps);",
+    ).encode()  # fmt: skip
 
 
 def steps(is_open: Any, x: int, y: int, found: Any) -> None:

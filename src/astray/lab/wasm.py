@@ -207,7 +207,7 @@ def compiled(kernels: Mapping[str, tuple[Callable, tuple[types.Type, ...]]]) -> 
     context = _Dispatcher.targetdescr.target_context
     context.refresh()
     context.typing_context.kernels.clear()  # the values of their constants may be others by now
-    about, compiled_ones = {}, []
+    about, exported = {}, {}
     whole = llvm.parse_assembly(UNCOUNTED)
     whole.triple, whole.data_layout = TRIPLE, context.codegen()._data_layout
     for name, (kernel, takes) in kernels.items():
@@ -215,13 +215,10 @@ def compiled(kernels: Mapping[str, tuple[Callable, tuple[types.Type, ...]]]) -> 
         about[name] = {"takes": [*map(_told, takes)], "returns": _returned(found, name, context)}
         found.library._ensure_finalized()
         whole.link_in(found.library._final_module, preserve=True)
-        compiled_ones.append(found.fndesc.llvm_func_name)
-    data = _linked(whole, dict(zip(compiled_ones, kernels, strict=True)), context)
+        exported[found.fndesc.llvm_func_name] = name
+    data = _linked(whole, exported, context)
     if len(data) > LARGEST:
-        raise ValueError(
-            f"the rules of a page and their constants must be at most {LARGEST} bytes; "
-            f"these are {len(data)}"
-        )
+        raise ValueError(f"rules of a page must be at most {LARGEST} bytes; got {len(data)}")
     return f"await kernels({json.dumps(base64.b64encode(data).decode())}, {json.dumps(about)})"
 
 
@@ -282,9 +279,9 @@ def _linked(whole: Any, exported: Mapping[str, str], context: Any) -> bytes:
     passes = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
     passes.getModulePassManager().run(whole, passes)
     sections = _sections(machine.emit_object(whole))
-    for name in _imported(dict(sections).get(IMPORTS, b"")):
-        if name not in GIVEN:
-            raise ValueError(f"{', '.join(exported.values())}: a page without Python has no {name}")
+    if lacking := {*_imported(dict(sections).get(IMPORTS, b""))} - GIVEN:
+        told = ", ".join(sorted(lacking))
+        raise ValueError(f"{', '.join(exported.values())}: a page without Python has no {told}")
     (symbols,) = (part for kind, part in sections if not kind and part.startswith(LINKING))
     told = (_string(as_) + b"\0" + _index(symbols, name) for name, as_ in exported.items())
     kept = [one for one in sections if one[0]]  # others are for linkers

@@ -168,8 +168,8 @@ function unpacked(buffer, at, code, shape) {
 
 // `kernel` writes the steps to a cell into an array; as rows of rows.
 export const stepsOf = (kernel) => (open, x, y) => {
-  const [shape, width] = [shapeOf(open), open[0].length];
-  const data = new Int32Array(shape[0] * width);
+  const shape = shapeOf(open);
+  const data = new Int32Array(product(shape));
   kernel(open, x, y, { shape, data });
-  return open.map((_, row) => Array.from(data.subarray(row * width, (row + 1) * width)));
+  return unpacked(data.buffer, 0, "i4", shape);
 };
