@@ -8,7 +8,7 @@ import ast
 import inspect
 import textwrap
 from collections.abc import Callable
-from types import FunctionType
+from types import CodeType, FunctionType
 from typing import Any
 
 from numba.core import types
@@ -34,8 +34,9 @@ def aim(seek: Any, goal: str) -> FunctionType:
     tree.body += aimed.of(ast.Constant(None))
     names = {**seek.__globals__, **inspect.getclosurevars(seek).nonlocals}
     names |= {_one_cell.__name__: _one_cell, _no_cells.__name__: _no_cells}
-    exec(compile(ast.fix_missing_locations(ast.Module([tree], [])), "seek", "exec"), names)
-    return names[tree.name]
+    whole = compile(ast.fix_missing_locations(ast.Module([tree], [])), "seek", "exec")
+    codes = (one for one in whole.co_consts if isinstance(one, CodeType))
+    return FunctionType(next(one for one in codes if one.co_name == tree.name), names)
 
 
 class _Aimed(ast.NodeTransformer):
