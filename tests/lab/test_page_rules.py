@@ -305,7 +305,7 @@ def compiled(*kernels):
 
 @pytest.fixture(scope="module")
 def there(chrome, static, exported, asked):
-    """What kernels return in a page, and the state after it, by their bodies."""
+    """Results of kernels in a page, and the states after them, by their bodies."""
     bodies = [*AS_IN_PYTHON, *AS_COMPILED, *RAISES]
     made = f"export const asked = {compiled(*asked(*bodies))};"
     imported = 'import { kernels } from "./memory.js";'
