@@ -360,7 +360,8 @@ def test_a_page_has_no_paths_of_its_author(asked):
 
 REFUSED = {
     "return math.sin(s.a)": "ask0: a page without Python has no sin",
-    "return s.row": r"ask0 of a page must return numbers, or a tuple of them; got nestedarray",
+    "return s.row": r"ask0 of a page must return real numbers, or a tuple; got nestedarray",
+    "return 2j": "ask0 of a page must return real numbers, .*; got complex128",
     "return unheard": "ask0 must be compiled for a page without Python: .*'unheard'",
     "return CALLED(2.0)": "ask0 must be compiled .* of type .ExternalFunction",
     "return LARGE[s.a]": "rules of a page must be at most 1048576 bytes; got [0-9]{7}",

@@ -1,8 +1,8 @@
 """Kernels as WebAssembly, for pages without Python.
 
-numba compiles them as it does for this machine, by the same types, and LLVM for WebAssembly: a
-page's numbers are those of compiled code. The result is a module of JavaScript whose functions put
-states, arrays and numbers into WebAssembly's memory; `page/rules/memory.js` does that.
+numba infers types and lowers kernels as for this machine; LLVM then emits WebAssembly instead of
+machine code, so a page computes the same numbers. JavaScript calls the kernels through
+`page/rules/memory.js`, which copies states and arrays into WebAssembly's memory and back.
 """
 
 import base64
@@ -88,9 +88,8 @@ class _CallConv(CPUCallConv):
 
     def set_static_user_exc(self, builder, exc, exc_args=None, loc=None, func_name=None):
         text = ": ".join(map(str, (exc.__name__, *(exc_args or ()))))
-        told = self.context.insert_const_string(builder.module, text)
-        told = builder.bitcast(told, excinfo_ptr_t)
-        builder.store(told, self._get_excinfo_argument(builder.function))
+        at = builder.bitcast(self.context.insert_const_string(builder.module, text), excinfo_ptr_t)
+        builder.store(at, self._get_excinfo_argument(builder.function))
 
     def set_dynamic_user_exc(self, builder, exc, exc_args, nb_types, loc=None, func_name=None):
         self.set_static_user_exc(builder, exc)
@@ -259,8 +258,9 @@ def _returned(found: Any, name: str, context: Any) -> Any:
     if kind == types.none:
         return None
     parts = [*getattr(kind, "types", (kind,))]
-    if not all(isinstance(types.unliteral(one), types.Number | types.Boolean) for one in parts):
-        raise ValueError(f"{name} of a page must return numbers, or a tuple of them; got {kind}")
+    real = types.Integer | types.Float | types.Boolean
+    if not all(isinstance(types.unliteral(one), real) for one in parts):
+        raise ValueError(f"{name} of a page must return real numbers, or a tuple; got {kind}")
     layout = context.data_model_manager[kind].get_return_type()
     if not isinstance(layout, ir.LiteralStructType):  # a number, or parts of one type
         layout = ir.LiteralStructType([getattr(layout, "element", layout)] * len(parts))

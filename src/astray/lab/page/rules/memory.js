@@ -1,7 +1,7 @@
 // Kernels in WebAssembly, which `astray.lab.wasm` compiles, as functions of JavaScript.
 //
-// States are objects with numbers, truths and rows of rows; integers of 64 bits are numbers up to
-// 2 ** 53, and BigInt above. Arrays are objects {shape, data}, or rows of rows that no kernel changes.
+// States are objects of numbers, booleans and nested arrays; 64-bit integers are BigInt above 2 ** 53.
+// Further arrays are {shape, data} with a typed array, or nested arrays that no kernel changes.
 
 const PAGE = 65536; // bytes
 const STACK = 16 * PAGE;
@@ -145,7 +145,7 @@ export async function kernels(text, about) {
 
 const shapeOf = (rows) => (Array.isArray(rows) ? [rows.length, ...shapeOf(rows[0] ?? 0)] : []);
 
-// Rows of rows as a flat array.
+// Nested arrays as a flat one.
 function packed(code, shape, x) {
   const { array, put } = KINDS[code];
   const [made, wide] = [new array(product(shape)), shape.at(-1)];
@@ -160,13 +160,13 @@ function unpacked(buffer, at, code, shape) {
   const flat = new array(buffer.slice(at, at + product(shape) * array.BYTES_PER_ELEMENT));
   let rows = take === same ? Array.from(flat) : Array.from(flat, take);
   for (const wide of shape.slice(1).reverse()) {
-    const whole_ = rows;
-    rows = Array.from({ length: rows.length / wide }, (_, k) => whole_.slice(k * wide, (k + 1) * wide));
+    const parts = rows;
+    rows = Array.from({ length: rows.length / wide }, (_, k) => parts.slice(k * wide, (k + 1) * wide));
   }
   return rows;
 }
 
-// `kernel` writes the steps to a cell into an array; as rows of rows.
+// `kernel` writes the steps to a cell into an array; returned as nested arrays.
 export const stepsOf = (kernel) => (open, x, y) => {
   const shape = shapeOf(open);
   const data = new Int32Array(product(shape));
