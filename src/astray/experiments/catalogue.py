@@ -6,7 +6,6 @@ in other modules or files; `find` accepts them too.
 
 import importlib
 import importlib.util
-import pkgutil
 import re
 import traceback
 from pathlib import Path
@@ -18,14 +17,11 @@ from astray.files import check_readable
 from astray.validation import brief, of_kind, one_of, slug
 
 LARGEST = 2**20  # bytes of a file of Python
-MODULES = dict(  # of studies, by their names
-    sorted(
-        (one.name.rpartition(".")[2].replace("_", "-"), one.name)
-        for one in pkgutil.walk_packages(studies.__path__, f"{studies.__name__}.")
-        if not one.ispkg and "._" not in one.name
-    )
-)
-NAMES = tuple(MODULES)
+MODULES = {  # of studies, by their names
+    path.stem.replace("_", "-"): f"{studies.__name__}.{path.parent.name}.{path.stem}"
+    for path in sorted(Path(*studies.__path__).glob("*/[!_]*.py"))
+}
+NAMES = tuple(sorted(MODULES))
 
 
 def load(name: str) -> Experiment:
