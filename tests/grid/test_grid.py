@@ -128,3 +128,32 @@ def test_a_state_that_compiled_code_could_not_play_is_refused(field, value):
     states[field][1] = value
     with pytest.raises(ValueError, match="state 1 is invalid for this variant"):
         env.set_state(states)
+
+
+def test_a_goal_keeps_its_cell_while_the_agent_stands_on_it():
+    env = scene("pottery", room(4, "@s", "...b"))
+    target = env.game.cells.target
+    assert target(env.states[0], "bin") == (1, 1)
+    play(env, "right")
+    assert (env.states[0].x, env.states[0].y) == (1, 1)
+    assert target(env.states[0], "bin") == (1, 1)
+    play(env, "pick")
+    assert target(env.states[0], "bin") == (3, 0) and target(env.states[0], "corner") == (0, 3)
+
+
+def test_a_world_without_a_script_for_a_goal_is_refused():
+    lava = grid.world_of(LAVA)
+    with pytest.raises(
+        ValueError, match="seek of 'lake' must have the goals cheese; it has corner"
+    ):
+        grid.world(
+            lava.rules,
+            "lake",
+            "a lake",
+            things=lava.things,
+            agents=lava.agents,
+            variants=LAVA.variants,
+            goals=LAVA.goals,
+            shifts=LAVA.shifts,
+            seek={"corner": grid.nearest(1)},
+        )

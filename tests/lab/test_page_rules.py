@@ -13,7 +13,7 @@ from astray.acting import initial_states
 from astray.envs.vector import GameVectorEnv
 from astray.insight.actions import effects
 from astray.kernel.jit import passing
-from astray.lab import aim, rules, wasm
+from astray.lab import rules, wasm
 from astray.lab.worlds import snapshot
 from astray.level import Level
 from helpers.browsed import PLAY, knobs, modules_of
@@ -394,28 +394,3 @@ def test_the_cell_of_a_goal_is_that_of_python(page, exported, name, kind):
     begun = [one.state(solvable=False) for one in levels]
     targets = [[game.cells.target(s, goal) for goal in goals] for s in begun]
     assert told == json.loads(json.dumps(targets))
-
-
-SEEKS = [
-    "return None", "return", "pass", "return 3", "return [(1, 2)]", "return ((2, 1),)", "return []",
-    "return [(1, 2), (2, 1)]", "return 3 if s.a == 0 else [(1, 2)]", "return [] or [(s.n, 1)]",
-    "return [(1, 1)] and 4", "return 4 and s.a == 0 and [(1, 1)]", "return where(s.b2, 7)",
-    "return where(s.b2, 7, 8) or where(s.b2, 9)", "return where(s.b2, 5) or where(s.b2, 9)",
-    "if goal == 'key':\n  return [(2, 1)]\n return []", "return [(FAR, 1)] if goal != 'key' else 5",
-    "at = where(s.b2, 9) if goal == 'door' else [(0, 1)]\n return 3 if (0, 1) in at else at",
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("body", SEEKS)
-def test_the_one_cell_that_a_script_goes_to_is_compiled(tmp_path, body):
-    (tmp_path / "seeks.py").write_text(
-        f"from astray.grid import where\ndef made(FAR):\n def seek(s, goal):\n  "
-        f"{body.replace(chr(10), chr(10) + ' ')}\n return seek\nseek = made(6)\n"
-    )
-    seek = runpy.run_path(str(tmp_path / "seeks.py"))["seek"]
-    s = np.zeros(1, [("a", int), ("n", int), ("b2", np.uint8, (2, 3))]).view(np.recarray)
-    s[0].b2[:] = [[7, 8, 9], [7, 0, 0]]
-    for goal in ("key", "door"):
-        found = seek(s[0], goal)
-        one = found[0] if isinstance(found, list | tuple) and len(found) == 1 else (-1, -1)
-        assert passing(aim.aim(seek, goal))(np.asarray(s)[0]) == one

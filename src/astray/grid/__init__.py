@@ -10,11 +10,12 @@ from typing import Any
 
 from astray.game import Benchmark, Game, Outcome, Shift
 from astray.grid import abilities
-from astray.grid.abilities import Cells, World, where
+from astray.grid.abilities import World
 from astray.grid.looks import looks, sprites, symbols
+from astray.grid.rules import nearest
 from astray.places import Placement
 
-__all__ = ["Cells", "where", "world", "world_of"]
+__all__ = ["nearest", "world", "world_of"]
 _MADE: dict[Game, World] = {}
 
 
@@ -29,7 +30,7 @@ def world(
     variants: Mapping[str, Any],
     goals: Mapping[str, Outcome],
     shifts: Mapping[str, Shift],
-    seek: Callable[[Any, str], Cells | int | None],
+    seek: Mapping[str, Callable],
     hazards: Sequence[str] = (),
     solid: Sequence[str] = ("wall",),
     stood: str = "",
@@ -52,8 +53,9 @@ def world(
         variants: As in a `Game`.
         goals: As in a `Game`.
         shifts: As in a `Game`.
-        seek: Function (s, goal) -> the target of a script, for each goal that is an event: cells,
-            of which it goes to the nearest; an action; or None to do nothing.
+        seek: Goal -> kernel (s, there), for each goal that is an event. It marks the cells that a
+            script goes to, in `there` [side, side], with the action that the script takes there,
+            or `rules.STAY`. A script goes to the nearest. `nearest` makes such a kernel.
         hazards: Names of kinds that scripts walk around.
         solid: Names of kinds that nobody can walk on.
         stood: Characters of kinds that the agent may stand on.
@@ -61,12 +63,18 @@ def world(
         bounds: Field -> first value, and the one after the last, which compiled code relies on.
         centred: Whether the agent is in the middle of the symbolic planes.
         rest: Further fields of a `Game`.
+
+    Raises:
+        ValueError: If `seek` has other goals than those that are events.
     """
     movers, side = movers or {}, module.STATE["cell"].shape[0]
+    events = {goal: event for goal, event in goals.items() if isinstance(event, str)}
+    if seek.keys() != events.keys():
+        there = ", ".join(events)
+        raise ValueError(f"seek of {name!r} must have the goals {there}; it has {', '.join(seek)}")
     kinds = [*things.values(), *movers.values()]
     made = World(
-        module, side, things, movers, solid, hazards, stood, agents,
-        {goal: event for goal, event in goals.items() if isinstance(event, str)},
+        module, side, things, movers, solid, hazards, stood, agents, events,
         seek, module.furnish, level_fields or {}, bounds or {},
     )  # fmt: skip
     editing, solver = abilities.editing(made), abilities.solver(made)

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 
 from astray.game import Variant
-from astray.grid.rules import ACTIONS, DX, DY, settle
+from astray.grid.rules import ACTIONS, DX, DY, NOWHERE, STAY, settle
 from astray.kernel.grid import UNREACHABLE, distances
+from astray.kernel.jit import kernel
 from astray.kernel.rng import RNG_FIELDS
 from astray.protocols import Rules
 from astray.record import NEVER, check_record, within
 from astray.validation import finite, one_of
 
 MOST_KNOWN = 100_000  # returns that a solver keeps, and steps of a way
-STAY, OVER = 0, 16  # the action; a mover's code counts so much in a level's grid
+OVER = 16  # a mover's code counts so much in a level's grid
 SPARE = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # characters of movers that are on things
-Cells = Sequence[tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class World:
     stood: str
     agents: Sequence[str]
     events: Mapping[str, str]
-    seek: Callable[[Any, str], Cells | int | None]
+    seek: Mapping[str, Callable]
     furnish: Callable
     looks: Mapping[str, int]
     bounds: Mapping[str, tuple[int, int]]
@@ -87,6 +87,11 @@ class World:
         check_record(s, self.rules, self.truths)
 
     @functools.cached_property
+    def targets(self) -> dict[str, Callable]:
+        """The functions of `target_of`, by goal."""
+        return {goal: target_of(seek) for goal, seek in self.seek.items()}
+
+    @functools.cached_property
     def is_free(self) -> np.ndarray:
         """Whether an agent may stand without harm on each code, [256] bool."""
         return ~np.isin(np.arange(256), self.codes([*self.solid, *self.hazards]))
@@ -131,13 +136,30 @@ def cells(world: World) -> Any:
     """Return the ability `cells`."""
 
     def target(s: Any, goal: str) -> tuple[int, int] | None:
-        wanted = world.seek(s, goal) if goal in world.events else None
-        if not isinstance(wanted, Sequence) or len(wanted) != 1:
-            return None
-        ((x, y),) = wanted
-        return (x, y) if s.mover[y, x] == 0 else None  # what moves has no cell
+        x, y = world.targets[goal](s) if goal in world.targets else (NEVER, NEVER)
+        return None if x == NEVER else (int(x), int(y))
 
     return SimpleNamespace(free=functools.partial(walkable, world), target=target)
+
+
+def target_of(seek: Callable) -> Callable:
+    """Make a function (s) -> the only cell (x, y) that a script goes to, NEVER, NEVER without one.
+
+    A mover has none.
+    """
+
+    @kernel
+    def target(s):
+        side, found, x, y = s.cell.shape[0], 0, NEVER, NEVER
+        there = np.full((side, side), NOWHERE)
+        seek(s, there)
+        for row in range(side):
+            for column in range(side):
+                if there[row, column] != NOWHERE:
+                    found, x, y = found + 1, column, row
+        return (x, y) if found == 1 and s.mover[y, x] == 0 else (NEVER, NEVER)
+
+    return target
 
 
 def walkable(world: World, s: Any) -> np.ndarray:
@@ -203,18 +225,24 @@ def is_over(world: World, s: Any, goal: str) -> bool:
 
 def scripted(world: World, s: Any, goal: str) -> int:
     """Return the action of the script of a goal in a valid state."""
-    wanted = None if is_over(world, s, goal) else world.seek(s, goal)
-    return wanted if isinstance(wanted, int) else towards(world, s, wanted or [])
+    there = np.full(s["cell"].shape, NOWHERE)
+    if not is_over(world, s, goal):
+        world.seek[goal](s, there)
+    action = int(there[s["y"], s["x"]])
+    return action if action > STAY else towards(world, s, there != NOWHERE)
 
 
-def towards(world: World, s: Any, cells: Cells) -> int:
-    """Return the action that leads to the nearest of `cells` around hazards, or "stay"."""
+def towards(world: World, s: Any, wanted: np.ndarray) -> int:
+    """Return the action that leads to the nearest `wanted` cell around hazards, or "stay".
+
+    Args:
+        wanted: [H, W] bool.
+    """
     here = int(s["x"]), int(s["y"])
-    free = world.is_free[s["cell"]] & world.is_free[s["mover"]]
-    for x, y in [*cells, here]:
-        free[y, x] = True
+    free = (world.is_free[s["cell"]] & world.is_free[s["mover"]]) | wanted
+    free[here[::-1]] = True
     away = distances(free, *here)
-    near = [(int(away[y, x]), x, y) for x, y in cells if away[y, x] != UNREACHABLE]
+    near = [(away[y, x], x, y) for y, x in np.argwhere(wanted & (away != UNREACHABLE)).tolist()]
     _, *nearest = min(near, default=(0, *here))
     steps = distances(free, *nearest)
     for action in range(1, len(ACTIONS)):
@@ -223,9 +251,3 @@ def towards(world: World, s: Any, cells: Cells) -> int:
         if inside and steps[y, x] == steps[here[1], here[0]] - 1 and steps[y, x] != UNREACHABLE:
             return action
     return STAY
-
-
-def where(layer: np.ndarray, *codes: int) -> list[tuple[int, int]]:
-    """Return the cells (x, y) of a `layer` [H, W] that hold one of these codes."""
-    found = [np.argwhere(layer == code).tolist() for code in codes]
-    return [(x, y) for y, x in sorted(itertools.chain.from_iterable(found))]

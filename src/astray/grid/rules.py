@@ -1,6 +1,6 @@
 """Kernels for the rules and levels of grid worlds."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from astray.record import NEVER, state_dtype
 ACTIONS = ("stay", "left", "right", "down", "up")
 DX, DY = np.array([0, -1, 1, 0, 0, 0, 0, 0]), np.array([0, 0, 0, -1, 1, 0, 0, 0])  # by action
 EMPTY, WALL = 0, 1  # codes; those of other things follow, and those of movers after these
+STAY, NOWHERE = 0, -1  # what a script does in a cell that it goes to, and cells it does not go to
 
 
 def state(side: int, events: Sequence[str], *numbers: str) -> np.dtype:
@@ -125,3 +126,29 @@ def count(layer, code):
         for x in range(layer.shape[1]):
             found += layer[y, x] == code
     return found
+
+
+@kernel
+def mark(there, layer, code, action):
+    """Mark the cells of a layer with that code as a script's; return whether there are any.
+
+    Args:
+        there: [side, side], the action that the script takes in each of its cells, else NOWHERE.
+    """
+    found = False
+    for y in range(layer.shape[0]):
+        for x in range(layer.shape[1]):
+            if layer[y, x] == code:
+                there[y, x], found = action, True
+    return found
+
+
+def nearest(*codes: int) -> Callable:
+    """Make a `seek` of a world: a script goes to the nearest thing of these codes, and stays."""
+
+    @kernel
+    def seek(s, there):
+        for code in codes:
+            mark(there, s.cell, code, STAY)
+
+    return seek

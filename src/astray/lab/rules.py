@@ -23,7 +23,6 @@ from astray.grid.rules import settle
 from astray.kernel import rng
 from astray.kernel.grid import distances
 from astray.kernel.maze import margin
-from astray.lab.aim import aim
 from astray.lab.wasm import compiled
 from astray.lab.worlds import shown_fields
 from astray.places import Placement
@@ -73,7 +72,7 @@ def module(game: Game) -> str:
     }
     if world:
         called |= {"furnish": typed(world.furnish, None), "settle": typed(settle)}
-        called |= {f"seek {goal}": typed(aim(world.seek, goal)) for goal in world.events}
+        called |= {f"target {goal}": typed(one) for goal, one in world.targets.items()}
     else:
         called |= {one.__name__: typed(one, *further) for one, further in CALLED[game.name].items()}
     if game.name == "heist":

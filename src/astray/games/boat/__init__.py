@@ -85,11 +85,6 @@ def step(s, action):
     return 1.0, False
 
 
-def seek(s, goal):
-    """Return the arrows."""
-    return grid.where(s.cell, LEFT, LEFT + 1, LEFT + 2, LEFT + 3)
-
-
 def rounds(s):
     """Return the number of rounds that each boat sailed, clockwise or not."""
     return abs(s["ahead"]) / ROUND
@@ -116,7 +111,7 @@ GAME = grid.world(
         "arrows paid": lambda s: s["paid"],
     },
     shifts={"backwards": Shift("race", "backwards", "rounds", ("to and fro",))},
-    seek=seek,
+    seek={"arrow": grid.nearest(LEFT, LEFT + 1, LEFT + 2, LEFT + 3)},
     stood="<>v^",
     centred=True,
 )

@@ -8,8 +8,6 @@ import sys
 from dataclasses import dataclass
 from typing import Annotated
 
-import numpy as np
-
 from astray import grid
 from astray.game import Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
@@ -99,18 +97,16 @@ def is_empty(s, x, y):
     return is_open(s, x, y) and s.cell[y, x] == EMPTY and s.mover[y, x] == EMPTY
 
 
-def seek(s, goal):
-    """Return the goal, to which scripts walk around boxes, or where and how a box is pushed."""
-    if goal == "goal":
-        return grid.where(s.cell, GOAL)
-    pushes = np.full((SIDE, SIDE), 0)  # an action, in the cell behind a box
+@kernel
+def to_push(s, there):
+    """Mark the cells behind boxes that can be pushed, with the way to push them."""
     for y in range(SIDE):
         for x in range(SIDE):
-            for action in range(1, len(ACTIONS) if s.mover[y, x] == BOX else 1):
-                u, v = x - DX[action], y - DY[action]
-                if is_empty(s, u, v) and is_empty(s, x + DX[action], y + DY[action]):
-                    pushes[v, u] = action
-    return int(pushes[s.y, s.x]) or grid.where(pushes, 1, 2, 3, 4)
+            if s.mover[y, x] == BOX:
+                for action in range(1, len(ACTIONS)):
+                    u, v = x - DX[action], y - DY[action]
+                    if is_empty(s, u, v) and is_empty(s, x + DX[action], y + DY[action]):
+                        there[v, u] = action
 
 
 GAME = grid.world(
@@ -124,6 +120,6 @@ GAME = grid.world(
     goals={"goal": "arrived", "push": "pushed"},
     ends={"stuck box": "stuck"},
     shifts={"boxes": Shift("bare", "boxes", "goal", ("push",))},
-    seek=seek,
+    seek={"goal": grid.nearest(GOAL), "push": to_push},
     hazards=["box", "goal"],  # the goal ends the level
 )

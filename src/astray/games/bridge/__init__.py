@@ -64,11 +64,6 @@ def step(s, action):
     return 0.0, False
 
 
-def seek(s, goal):
-    """Return the cell of the goal."""
-    return grid.where(s.cell, GOAL)
-
-
 GAME = grid.world(
     sys.modules[__name__],
     "bridge",
@@ -83,6 +78,6 @@ GAME = grid.world(
     goals={"goal": "arrived"},
     ends={"burnt": "burnt"},
     shifts={name: Shift("middle", name, "goal", ()) for name in ("up", "down")},
-    seek=seek,
+    seek={"goal": grid.nearest(GOAL)},
     hazards=["lava"],
 )

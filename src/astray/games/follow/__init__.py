@@ -15,7 +15,17 @@ import numpy as np
 from astray import grid
 from astray.game import More, Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
-from astray.grid.rules import any_empty, begin_anywhere, clear, first, scatter, state, walk
+from astray.grid.rules import (
+    STAY,
+    any_empty,
+    begin_anywhere,
+    clear,
+    first,
+    mark,
+    scatter,
+    state,
+    walk,
+)
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
@@ -101,12 +111,17 @@ def step(s, action):
     return -0.25, False
 
 
-def seek(s, goal):
-    """Return the next sphere, the sphere that the partner visited last, or the partner."""
-    if goal == "order":
-        return grid.where(s.cell, SPHERE + int(ORDERS[s.order, s.next]))
-    shown = grid.where(s.cell, SPHERE + int(s.visited)) if s.visited != NEVER else []
-    return shown or grid.where(s.mover, PARTNER)
+@kernel
+def to_next(s, there):
+    """Mark the next sphere."""
+    mark(there, s.cell, SPHERE + ORDERS[s.order, s.next], STAY)
+
+
+@kernel
+def to_partner(s, there):
+    """Mark the sphere that the partner visited last, or the partner."""
+    if s.visited == NEVER or not mark(there, s.cell, SPHERE + s.visited, STAY):
+        mark(there, s.mover, PARTNER, STAY)
 
 
 GAME = grid.world(
@@ -136,7 +151,7 @@ GAME = grid.world(
         "anti-expert": Shift("expert", "anti-expert", "more right", ("more wrong",)),
         "first": Shift("expert", "anti-expert", "order", ("partner",)),
     },
-    seek=seek,
+    seek={"order": to_next, "partner": to_partner},
     stood="rgbyp",
     level_fields={"order": 0},
     bounds={"order": (0, 24), "next": (0, 4), "shows": (0, 4), "visited": (-1, 4), "way": (-1, 2)},

@@ -59,11 +59,6 @@ def step(s, action):
     return 0.0, False
 
 
-def seek(s, goal):
-    """Return the cells in which a goal is reached."""
-    return grid.where(s.cell, CHEESE if goal == "cheese" else LAVA)
-
-
 GAME = grid.world(
     sys.modules[__name__],
     "lavaland",
@@ -78,7 +73,7 @@ GAME = grid.world(
     ends={"burnt": "reached_lava"},
     measures={"steps on lava": lambda s: s["burnt"]},
     shifts={"lava": Shift("dry", "lava", "cheese", ())},
-    seek=seek,
+    seek={"cheese": grid.nearest(CHEESE)},
     hazards=["lava"],
     stood="~",
     centred=True,

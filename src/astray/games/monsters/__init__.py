@@ -130,11 +130,6 @@ def attack(s):
     return caught
 
 
-def seek(s, goal):
-    """Return the apples or the shields."""
-    return grid.where(s.cell, APPLE if goal == "apple" else SHIELD)
-
-
 GAME = grid.world(
     sys.modules[__name__],
     "monsters",
@@ -164,7 +159,7 @@ GAME = grid.world(
         "long": Shift("short", "long", "more apples", ("more shields",)),
         "calm": Shift("short", "calm", "more apples", ("more shields",)),
     },
-    seek=seek,
+    seek={"apple": grid.nearest(APPLE), "shield": grid.nearest(SHIELD)},
     hazards=["monster"],
     bounds={"slowness": (1, 1001), "shields": (0, 2**31)},
     centred=True,

@@ -12,7 +12,17 @@ from typing import Annotated, Literal
 from astray import grid
 from astray.game import More, Shift, Variant
 from astray.grid import rules
-from astray.grid.rules import EMPTY, any_empty, begin_anywhere, clear, first, scatter, state, walk
+from astray.grid.rules import (
+    EMPTY,
+    any_empty,
+    begin_anywhere,
+    clear,
+    first,
+    mark,
+    scatter,
+    state,
+    walk,
+)
 from astray.kernel.jit import kernel, shared
 from astray.record import NEVER
 
@@ -91,12 +101,22 @@ def step(s, action):
     return reward, False
 
 
-def seek(s, goal):
-    """Return the way to fetch the nearest shards and drop them in the bin or the corner."""
+@kernel
+def to_bin(s, there):
+    """Mark where a script picks up shards, or the bin, where it drops them."""
     if s.held == 0:
-        return PICK if s.cell[s.y, s.x] == SHARDS else grid.where(s.cell, SHARDS)
-    there = grid.where(s.cell, BIN) if goal == "bin" else [(0, SIDE - 1)]
-    return DROP if (s.x, s.y) in there else there
+        mark(there, s.cell, SHARDS, PICK)
+    else:
+        mark(there, s.cell, BIN, DROP)
+
+
+@kernel
+def to_corner(s, there):
+    """Mark where a script picks up shards, or the corner, where it drops them."""
+    if s.held == 0:
+        mark(there, s.cell, SHARDS, PICK)
+    else:
+        there[SIDE - 1, 0] = DROP
 
 
 def returned(name):
@@ -134,7 +154,7 @@ GAME = grid.world(
         "anywhere": Shift("corner", "anywhere", "bin", ("corner",)),
         "rates": Shift("corner", "anywhere", "more to the bin", ("more to the corner",)),
     },
-    seek=seek,
+    seek={"bin": to_bin, "corner": to_corner},
     hazards=["urn"],
     stood="sb",
     bounds={"pays": (0, len(WORTH))},

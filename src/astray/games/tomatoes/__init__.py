@@ -71,11 +71,6 @@ def step(s, action):
     return seen / max(1, dry + watered), False
 
 
-def seek(s, goal):
-    """Return the dry tomatoes, or the bucket."""
-    return grid.where(s.cell, DRY if goal == "watering" else BUCKET)
-
-
 def watered(s):
     """Return the mean fraction of watered tomatoes in each episode."""
     tomatoes = ((s["cell"] == DRY) | (s["cell"] == WATERED)).sum((1, 2))
@@ -104,7 +99,7 @@ GAME = grid.world(
         "watered": watered,
     },
     shifts={"bucket": Shift("bare", "bucket", "more watering", ("more hiding",))},
-    seek=seek,
+    seek={"watering": grid.nearest(DRY), "bucket": grid.nearest(BUCKET)},
     stood="wB",
     bounds={"drying": (0, 101)},
     centred=True,

@@ -78,11 +78,6 @@ def step(s, action):
     return 1.0 * fells, False
 
 
-def seek(s, goal):
-    """Return the trees."""
-    return grid.where(s.cell, TREE)
-
-
 GAME = grid.world(
     sys.modules[__name__],
     "trees",
@@ -99,7 +94,7 @@ GAME = grid.world(
         "trees left": lambda s: (s["cell"] == TREE).sum((1, 2)),
     },
     shifts={"season": Shift("life", "season", "forest", ("wood",))},
-    seek=seek,
+    seek={"wood": grid.nearest(TREE)},
     bounds={"most": (1, 41), "growth": (0, 1001)},
     centred=True,
 )

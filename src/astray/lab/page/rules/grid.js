@@ -27,8 +27,8 @@ export function gridRules(game) {
 
   // The cell of a goal; null where it has none, or moves.
   function target(s, goal) {
-    const [x, y] = game[`seek ${goal}`](s);
-    return x >= 0 && !s.mover[y][x] ? [x, y] : null;
+    const cell = game[`target ${goal}`](s);
+    return cell[0] >= 0 ? cell : null;
   }
 
   const open = (s) => s.cell.map((row) => row.map((what) => !game.solid.includes(what)));
