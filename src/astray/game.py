@@ -124,6 +124,8 @@ def check_names(rules: Any, *more: str) -> None:
         of_kind(name, getattr(rules, name), Mapping)
         for one in getattr(rules, name):
             of_kind(f"each name of {name}", one, str)
+    if not rules.variants:
+        raise ValueError("variants must be at least one; got none")
 
 
 def check_goals(rules: Any) -> None:

@@ -30,12 +30,12 @@ SOURCES = {
     "leaves_late": "import dataclasses, sys\nfrom astray import games\n"
     "class Variants(dict):\n    items = sys.exit\n"
     "GAME = dataclasses.replace(games.find('maze'), name='leaves_late', "
-    "variants=Variants(), shifts={})",
+    "variants=Variants(games.find('maze').variants), shifts={})",
     "misleads_late": "import dataclasses\nfrom astray import games\n"
     "class Odd(ValueError):\n    def __str__(self): raise KeyboardInterrupt\n"
     "class Variants(dict):\n    def items(self): raise Odd\n"
     "GAME = dataclasses.replace(games.find('maze'), name='misleads_late', "
-    "variants=Variants(), shifts={})",
+    "variants=Variants(games.find('maze').variants), shifts={})",
     "is_no_text": "import dataclasses\nfrom astray import games\n"
     "GAME = dataclasses.replace(games.find('maze'), name='is_no_text', about=b'maze')",
     "is_unsure": "import dataclasses\nfrom astray import games\n"
@@ -45,6 +45,9 @@ SOURCES = {
     "is_hollow": "import dataclasses\nfrom astray import games\n"
     "GAME = dataclasses.replace(games.find('maze'), name='is_hollow', "
     "variants={'one': 3}, shifts={})",
+    "has_no_variants": "import dataclasses\nfrom astray import games\n"
+    "GAME = dataclasses.replace(games.find('maze'), name='has_no_variants', "
+    "variants={}, shifts={})",
     "lacks_rules": "import dataclasses\nfrom astray import games\n"
     "GAME = dataclasses.replace(games.find('maze'), name='lacks_rules', rules=None)",
     "has_odd_goals": "import dataclasses\nfrom astray import games\n"
@@ -64,6 +67,7 @@ REASONS = {
     "is_unsure": "real_time must be a bool; got 'no'",
     "is_compared": "benchmark must be a Benchmark or None; got 'corner'",
     "is_hollow": "no attribute 'about'",
+    "has_no_variants": "variants must be at least one; got none",
     "lacks_rules": "rules of the game 'lacks_rules' must have ACTIONS,",
     "has_odd_goals": "each name of goals must be a str; got 3",
 }
