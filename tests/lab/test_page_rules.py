@@ -163,11 +163,14 @@ import ctypes
 import math
 from enum import IntEnum
 
+import numba
 import numpy as np
 
 from astray.kernel.jit import kernel
 
 TABLE = (4, 5)
+GRID = np.arange(12).reshape(4, 3)
+COLUMN, TURNED, ACROSS = GRID[:, 1], GRID[::-1], GRID.T
 BIG = 1, 2**60
 LARGE = np.random.default_rng(0).integers(256, size=1_050_000).astype(np.uint8)
 CALLED = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(abs)
@@ -201,6 +204,12 @@ def swap(x, y):
 def third(x):
     return x / np.float32(3)
 
+@numba.njit
+def down(n):
+    if n > 0:
+        return down(n - 1)
+    return 0
+
 """
 FIELDS = np.dtype(
     [("a", int), ("n", int), ("t", bool), ("u", np.uint8), ("i", np.int16), ("row", np.uint8, 3),
@@ -219,6 +228,7 @@ AS_IN_PYTHON = [
     "return (1 << 40) | (5 & 4) | (2199023255552 >> 1)",
     "return s.a + 9007199254740993",
     "return BIG[s.a + 1]",
+    "return COLUMN[s.a + 2] + 100 * TURNED[s.a, 2] + 10000 * ACROSS[2, s.a + 1]",
     "s.a = 3000000000\n return s.a * s.a",
     "x = 3\n for k in range(58):\n  x = x + x + 1\n return x",
     "s.w = np.uint64(1) << np.uint64(63)\n return s.w",
@@ -271,6 +281,7 @@ AS_COMPILED = {  # of few bits, in which interpreted ones are refused or differ
     "return REAL[0] * s.f": 0.030000001192092896,
     "x = np.float32(s.a)\n x = s.a + 0.1\n return x": 0.1,
 }
+ENDLESS = numba.njit(error_model="numpy")(lambda s: 1 / s.a)  # Python's model would raise
 RUN = """async () => {
   const { asked } = await import(new URL("rules/asked.js", location.href));
   return Object.values(asked).map((ask) => {
@@ -307,11 +318,11 @@ def compiled(*kernels):
 def there(chrome, static, exported, asked):
     """Results of kernels in a page, and the states after them, by their bodies."""
     bodies = [*AS_IN_PYTHON, *AS_COMPILED, *RAISES]
-    made = f"export const asked = {compiled(*asked(*bodies))};"
+    made = f"export const asked = {compiled(*asked(*bodies), ENDLESS)};"
     imported = 'import { kernels } from "./memory.js";'
     (exported / "rules" / "asked.js").write_text(f"{imported}\n{made}\n")
     with modules_of(chrome, static) as page:
-        return dict(zip(bodies, page.evaluate(RUN), strict=True))
+        return dict(zip([*bodies, ENDLESS], page.evaluate(RUN), strict=True))
 
 
 def plain(value):
@@ -338,11 +349,17 @@ def test_a_kernel_returns_in_a_page_what_compiled_code_does(there, asked, body):
         assert expected == plain(AS_COMPILED[body])
 
 
+def test_a_kernel_keeps_the_options_that_it_was_compiled_with(there):
+    s = np.zeros(1, FIELDS)
+    assert there[ENDLESS]["returns"] == ENDLESS(s[0]) == np.inf
+
+
 RAISES = {
     "if s.a == 0:\n  raise ValueError('no key')\n return 1": "ValueError: no key",
     "return 1 // s.a": "ZeroDivisionError: integer division by zero",
     "raise ValueError('no key', s.b[0])": "ValueError",
     "s.b[:] = np.empty(s.a + 2)\n return 1": "ValueError: an array must be",
+    "x, y = np.empty(2**29), np.empty(3)\n x[4], y[0] = 5, 7\n return x[4]": "WebAssembly.Memory",
 }
 
 
@@ -360,8 +377,9 @@ def test_a_page_has_no_paths_of_its_author(asked):
 
 REFUSED = {
     "return math.sin(s.a)": "ask0: a page without Python has no sin",
-    "return s.row": r"ask0 of a page must return real numbers, or a tuple; got nestedarray",
-    "return 2j": "ask0 of a page must return real numbers, .*; got complex128",
+    "return s.row": "must have real numbers from ask0, or a tuple of them; got nestedarray",
+    "return 2j": "a page must have real numbers from ask0, .*; got complex128",
+    "return down(s.a)": "ask0 must be compiled .* a page has no recursion",
     "return unheard": "ask0 must be compiled for a page without Python: .*'unheard'",
     "return CALLED(2.0)": "ask0 must be compiled .* of type .ExternalFunction",
     "return LARGE[s.a]": "rules of a page must be at most 1048576 bytes; got [0-9]{7}",
@@ -372,6 +390,13 @@ REFUSED = {
 def test_what_a_page_does_not_have_is_refused_by_its_name(asked, body):
     with pytest.raises(ValueError, match=REFUSED[body]):
         compiled(*asked(body))
+
+
+@pytest.mark.parametrize("kind", ["c8", "U4", "M8[s]", [("q", int)]])
+def test_a_field_that_is_no_number_of_a_page_is_refused_by_its_name(asked, kind):
+    state = numba.from_dtype(np.dtype([("z", kind), ("a", int)]))
+    with pytest.raises(ValueError, match="must have real numbers in the field 'z'; got"):
+        wasm.compiled({"ask": (asked("return 1")[0], (state,))})
 
 
 TARGETS = """async ([path, levels, variant, goals]) => {

@@ -7,7 +7,6 @@ machine code, so a page computes the same numbers. JavaScript calls the kernels 
 
 import base64
 import functools
-import inspect
 import json
 import re
 from collections.abc import Callable, Mapping
@@ -15,12 +14,12 @@ from types import FunctionType
 from typing import Any
 
 import llvmlite.binding as llvm
+import numba
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, target_extension, types
 from numba.core.callconv import CPUCallConv, excinfo_ptr_t
 from numba.core.codegen import CPUCodegen, CPUCodeLibrary
-from numba.core.compiler import Flags, compile_extra
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.cpu import CPUContext, CPUTargetOptions
 from numba.core.descriptors import TargetDescriptor
@@ -42,6 +41,8 @@ UNCOUNTED = """
 define void @NRT_incref(ptr %info) alwaysinline { ret void }
 define void @NRT_decref(ptr %info) alwaysinline { ret void }
 """
+# Of numbers, in `page/rules/memory.js`.
+CODES = ("b1", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8")
 LARGEST = 2**20  # bytes; a page keeps as much for constants
 IMPORTS, EXPORTS = 2, 7  # sections of a module
 LINKING = b"\x07linking"  # begins the section of an object file that has its symbols
@@ -98,7 +99,7 @@ class _CallConv(CPUCallConv):
 class _Context(CPUContext):
     """Compilation for a machine without Python."""
 
-    allow_dynamic_globals = False  # large arrays, too, are copied into the code
+    allow_dynamic_globals = False  # all arrays are copied into the code
 
     def init(self) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
         self.is32bit = False  # which is of integers, that are as in Python
@@ -114,6 +115,13 @@ class _Context(CPUContext):
     def get_executable(self, library: Any, fndesc: Any, env: Any) -> object:
         """Return a key by which numba finds the function."""
         return object()
+
+    def make_constant_array(self, builder: Any, typ: Any, ary: Any) -> Any:
+        """Keep an array without gaps, as its data are: numba keeps the strides of views."""
+        return super().make_constant_array(builder, typ, ary.copy("A"))
+
+    def call_unresolved(self, builder: Any, name: str, sig: Any, args: Any) -> Any:
+        raise NotImplementedError("a page has no recursion")
 
     def add_dynamic_addr(self, builder: Any, intaddr: int, info: str) -> Any:
         """Return no address: kernels are called by name, and a page has no other objects."""
@@ -157,13 +165,11 @@ def _misshapen(_shapes: Any, _others: Any) -> None:
 class _Target(TargetDescriptor):
     options = CPUTargetOptions
 
-    @property
-    @functools.cache  # noqa: B019, of one object
+    @functools.cached_property
     def typing_context(self) -> Any:
         return _Typing()
 
-    @property
-    @functools.cache  # noqa: B019, of one object
+    @functools.cached_property
     def target_context(self) -> Any:
         return _Context(self.typing_context, NAME)
 
@@ -174,7 +180,8 @@ class _Dispatcher(Dispatcher):
     def __init__(self, function: Any, options: Mapping[str, Any]):
         # numba's own functions name a target; and here is no cache
         kept = {name: of for name, of in options.items() if name not in ("target", "cache")}
-        super().__init__(function, targetoptions=kept)
+        alone = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        super().__init__(function, targetoptions=kept | alone)
 
     def add_overload(self, cres: Any) -> None:
         self.overloads[tuple(cres.signature.args)] = cres
@@ -222,34 +229,34 @@ def compiled(kernels: Mapping[str, tuple[Callable, tuple[types.Type, ...]]]) -> 
 
 
 def _compile(name: str, kernel: Any, takes: tuple[types.Type, ...], context: Any) -> Any:
-    function = inspect.unwrap(getattr(kernel, "py_func", kernel))
-    flags: Any = Flags()
-    flags.nrt = flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
     try:
         with target_extension.target_override(NAME):  # also of what numba asks for later
-            return compile_extra(context.typing_context, context, function, takes, None, flags, {})
+            made: Any = context.typing_context.resolve_value_type(kernel).dispatcher
+            made.compile(takes)
     except (NumbaError, NotImplementedError) as error:
-        lines = [line for line in COLOURS.sub("", str(error)).splitlines() if line.strip()]
-        said = " ".join(lines[:3])[:300]
+        said = " ".join(COLOURS.sub("", str(error)).split())[:300]
         raise ValueError(f"{name} must be compiled for a page without Python: {said}") from None
+    return made.overloads[takes]
 
 
 def _told(kind: types.Type) -> Any:
     """Return how the page keeps an argument: the code of a number, an array, or a record."""
-    if isinstance(kind, types.Record):
-        of = {name: kind.typeof(name) for name in kind.fields}
-        fields = [
-            [name, kind.offset(name), _code(getattr(one, "dtype", one)), getattr(one, "shape", ())]
-            for name, one in of.items()
-        ]
-        return {"size": kind.size, "fields": fields}
-    return {"of": _code(kind.dtype)} if isinstance(kind, types.Array) else _code(kind)
+    if not isinstance(kind, types.Record):
+        return {"of": _code(kind.dtype)} if isinstance(kind, types.Array) else _code(kind)
+    fields = []
+    for name in kind.fields:
+        one: Any = kind.typeof(name)
+        code = _code(getattr(one, "dtype", one), f"in the field {name!r}")
+        fields.append([name, kind.offset(name), code, getattr(one, "shape", ())])
+    return {"size": kind.size, "fields": fields}
 
 
-def _code(kind: Any) -> str:
-    """Return a type of numbers as NumPy writes it, without the order of bytes."""
-    numpy_name = "bool" if isinstance(kind, types.Boolean) else str(types.unliteral(kind))
-    return np.dtype(numpy_name).str[1:]
+def _code(kind: Any, where: str = "as an argument") -> str:
+    """Return a type of numbers that JavaScript has, too, as NumPy writes it."""
+    found = [code for code in CODES if numba.from_dtype(np.dtype(code)) == types.unliteral(kind)]
+    if not found:
+        raise ValueError(f"a page must have real numbers {where}; got {kind}")
+    return found[0]
 
 
 def _returned(found: Any, name: str, context: Any) -> Any:
@@ -258,15 +265,13 @@ def _returned(found: Any, name: str, context: Any) -> Any:
     if kind == types.none:
         return None
     parts = [*getattr(kind, "types", (kind,))]
-    real = types.Integer | types.Float | types.Boolean
-    if not all(isinstance(types.unliteral(one), real) for one in parts):
-        raise ValueError(f"{name} of a page must return real numbers, or a tuple; got {kind}")
+    codes = [_code(one, f"from {name}, or a tuple of them") for one in parts]
     layout = context.data_model_manager[kind].get_return_type()
     if not isinstance(layout, ir.LiteralStructType):  # a number, or parts of one type
         layout = ir.LiteralStructType([getattr(layout, "element", layout)] * len(parts))
     at = [layout.get_element_offset(context.target_data, k) for k in range(len(parts))]
     names = map(str, range(len(parts))) if isinstance(kind, types.BaseTuple) else ["value"]
-    fields = [[*one, []] for one in zip(names, at, map(_code, parts), strict=True)]
+    fields = [[*one, []] for one in zip(names, at, codes, strict=True)]
     return {"size": layout.get_abi_size(context.target_data), "fields": fields}
 
 

@@ -35,7 +35,7 @@ export async function kernels(text, about) {
 
   function allocate(size) {
     const at = heap;
-    heap = (at + size + 15) & ~15;
+    heap = 16 * Math.ceil((at + size) / 16); // beyond 4 GiB, `grow` says so
     const lacking = heap - memory.buffer.byteLength;
     if (lacking > 0) memory.grow(Math.ceil(lacking / PAGE));
     return at;
