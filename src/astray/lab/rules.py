@@ -29,15 +29,16 @@ from astray.places import Placement
 from astray.variant import knobs
 
 SHARED = "rules/kernels.js"  # from the page
-INT, PLANES = types.int64, types.Array(types.uint8, 3, "C")
-THINGS = {margin: (), rng.seed_twister: (INT,), rng.draw_u32: ()}
-# Kernels of games that are no grid worlds, which `page/rules` calls with a state, and the types of
-# further arguments; None is for a variant's knobs.
+INT, CELLS, PLANES = types.int64, types.int64[:, ::1], types.uint8[:, :, ::1]
+S, P = "a state", "a variant's knobs"  # of a game, in the place of their types
+THINGS: dict[Any, Any] = {margin: (S,), rng.seed_twister: (S, INT), rng.draw_u32: (S,)}
+# Kernels of games that are no grid worlds, which `page/rules` calls, and the types of arguments.
 CALLED: Mapping[str, Mapping[Callable, tuple[Any, ...]]] = {
-    "coinrun": {coinrun.clear: (), coinrun.add_walker: (INT, INT, types.boolean, INT)},
-    "heist": {heist.furnish: (None,), heist.put: (INT, INT, INT), **THINGS},
-    "keys": {keys.furnish: (None,), keys.put: (INT, INT, INT), **THINGS},
-    "maze": {maze.furnish: (None,), maze.note_arrivals: (), margin: ()},
+    "coinrun": {coinrun.clear: (S,), coinrun.add_walker: (S, INT, INT, types.boolean, INT)},
+    "heist": {heist.furnish: (S, P), heist.put: (S, INT, INT, INT), hand_in: (CELLS, INT, INT, INT)}
+    | THINGS,
+    "keys": {keys.furnish: (S, P), keys.put: (S, INT, INT, INT), **THINGS},
+    "maze": {maze.furnish: (S, P), maze.note_arrivals: (S,), margin: (S,)},
 }
 
 
@@ -59,24 +60,20 @@ def module(game: Game) -> str:
     """
     world: Any = grid.world_of(game)
     (variant, *_) = game.variants.values()
-    state, record = map(numba.from_dtype, (game.state, variant.records().dtype))
     symbols = game.symbols
 
-    def typed(kernel: Callable, *further: Any) -> tuple[Callable, tuple[Any, ...]]:
-        return kernel, (state, *(kind or record for kind in further))
-
-    called = {
-        "step": typed(game.rules.step, INT),
-        "background_planes": typed(symbols.background_planes, PLANES),
-        "foreground_planes": typed(symbols.foreground_planes, PLANES, PLANES),
+    called: dict[str, tuple[Callable, tuple[Any, ...]]] = {
+        "step": (game.rules.step, (S, INT)),
+        "background_planes": (symbols.background_planes, (S, PLANES)),
+        "foreground_planes": (symbols.foreground_planes, (S, PLANES, PLANES)),
     }
     if world:
-        called |= {"furnish": typed(world.furnish, None), "settle": typed(settle)}
-        called |= {f"target {goal}": typed(one) for goal, one in world.targets.items()}
+        called |= {"furnish": (world.furnish, (S, P)), "settle": (settle, (S,))}
+        called |= {f"target {goal}": (one, (S,)) for goal, one in world.targets.items()}
     else:
-        called |= {one.__name__: typed(one, *further) for one, further in CALLED[game.name].items()}
-    if game.name == "heist":
-        called["hand_in"] = hand_in, (types.Array(INT, 2, "C"), INT, INT, INT)
+        called |= {one.__name__: (one, takes) for one, takes in CALLED[game.name].items()}
+    own = {S: numba.from_dtype(game.state), P: numba.from_dtype(variant.records().dtype)}
+    typed = {n: (one, tuple(own.get(k, k) for k in takes)) for n, (one, takes) in called.items()}
     editing, places, choices = game.editing, game.places, knobs(type(variant)).items()
     assert isinstance(places, Placement)
     told = {
@@ -91,7 +88,7 @@ def module(game: Game) -> str:
             "planes": symbols.planes(variant).shape, "solid": world.codes(world.solid),
             "looks": world.looks, "agents": list(world.agents),
         }  # fmt: skip
-    begin = f"const game = {{ ...{json.dumps(told)}, ...{compiled(called)} }};"
+    begin = f"const game = {{ ...{json.dumps(told)}, ...{compiled(typed)} }};"
     ends = [
         'import { gridRules } from "../rules/grid.js";',
         "export const rules = gridRules(game);",
