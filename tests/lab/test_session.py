@@ -3,6 +3,7 @@
 import json
 import os
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,8 +23,9 @@ from astray.lab.agents import Agents
 from astray.lab.messages import LARGEST, read
 from astray.lab.serving import make_lab
 from astray.lab.session import ANSWERS, Lab, Session, about_game, drawings
-from astray.lab.worlds import play_on, read_world
+from astray.lab.worlds import play_on, read_world, snapshot
 from astray.level import Level
+from astray.record import COMMON, state_dtype
 from astray.training import checkpoint
 from astray.training.ppo import RewardNormaliser
 from helpers.trainings import PLAIN, train_to_first_checkpoint
@@ -413,3 +415,16 @@ def test_random_messages_are_answered_and_nothing_breaks(session):
 def test_a_message_is_read_as_it_was_written():
     message = read('{"id": 2, "kind": "splay", "thing": "goal", "cell": [3, 4], "draws": 5}')
     assert (message.kind, message.cell, message.draws) == ("splay", (3, 4), 5)
+
+
+def test_a_page_is_told_no_numbers_that_its_json_does_not_have():
+    box = games.find("box")
+    fields = [(name, box.state[name]) for name in box.state.names if name not in {*COMMON, "gap"}]
+    odd = [("near", np.float32), ("ways", float, 2), ("wave", complex), ("word", "U4")]
+    rules = SimpleNamespace(**vars(box.rules) | {"STATE": state_dtype(*fields, *odd)})
+    s = np.zeros(1, rules.STATE).view(np.recarray)[0]
+    s.near, s.ways, s.x = np.inf, (np.nan, 0.5), 2
+    told = snapshot(replace(box, name="odd", rules=rules), s)
+    json.dumps(told, allow_nan=False)
+    assert told["near"] is None and told["ways"] == [None, 0.5] and told["x"] == 2
+    assert not {"wave", "word"} & {*told}

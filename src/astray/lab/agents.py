@@ -205,10 +205,6 @@ def arrows(agent: Shown, episode: Episode, with_effects: bool = False) -> Iterat
 
 
 def rounded(numbers: np.ndarray) -> Any:
-    """Round `numbers` [...] to eight decimal places for JSON, in which null stands for NaN."""
+    """Round `numbers` [...] to eight decimal places for JSON, in which null stands for others."""
     found = np.round(np.asarray(numbers, float), 8)
-    missing = np.isnan(found)
-    if missing.any():
-        found = found.astype(object)
-        found[missing] = None
-    return found.tolist()
+    return np.where(np.isfinite(found), found, None).tolist()

@@ -104,12 +104,12 @@ def _problem(level: Level) -> str | None:
 @functools.cache
 def shown_fields(game: Game) -> tuple[str, ...]:
     """Return the fields of a state that a page draws from: numbers, and short arrays."""
-    names: Sequence[str] = game.state.names or ()
     return tuple(
         name
-        for name in names
+        for name in game.state.names or ()
         if (name not in COMMON or name in OF_INTEREST)
         and name != "gap"
+        and game.state[name].base.kind in "biuf"
         and game.state[name].shape in ((), *((n,) for n in range(LONGEST_ARRAY + 1)))
     )
 
@@ -126,8 +126,9 @@ def is_played(game: Game) -> bool:
 
 
 def snapshot(game: Game, s: Any) -> dict[str, Any]:
-    """Return a state as plain data: the agent's place and everything that moves."""
-    fields = {name: np.asarray(s[name]).tolist() for name in shown_fields(game)}
+    """Return a state as JSON has it, None for infinity: the agent's place and all that moves."""
+    numbers = {name: np.asarray(s[name]) for name in shown_fields(game)}
+    fields = {name: np.where(np.isfinite(x), x, None).tolist() for name, x in numbers.items()}
     if is_drawn(game):
         return fields
     fields |= {"agent": game.editing.centre(s), "grid": game.editing.grid(s).tolist()}
