@@ -1,10 +1,13 @@
 """Tests of the toolkit: drawings, planes, scripts, and facts that compiled code relies on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from astray import games, grid
 from astray.envs.vector import GameVectorEnv
+from astray.games import lavaland
 from astray.grid import abilities
 from astray.level import Level
 from helpers.scenes import play, room, scene
@@ -157,3 +160,17 @@ def test_a_world_without_a_script_for_a_goal_is_refused():
             shifts=LAVA.shifts,
             seek={"corner": grid.nearest(1)},
         )
+
+
+def test_a_world_has_as_many_kinds_as_the_cells_of_a_level_can_tell_apart():
+    kinds = [(chr(ord("a") + k), f"thing-{k}") for k in range(14)]
+    made = replace(
+        grid.world_of(games.find("box")), things=dict([("#", "wall"), *kinds[:7]]),
+        movers=dict(kinds[7:]), solid=["wall"],
+    )  # fmt: skip
+    codes = {*made.legend().values()}
+    assert len(codes) == 1 + 8 + 7 + 7 * 7 and max(codes) < 256
+    nothing = {"variants": {}, "goals": {}, "shifts": {}, "agents": [], "seek": {}}
+    things = {chr(ord("a") + k): f"thing-{k}" for k in range(16)}
+    with pytest.raises(ValueError, match="many must have less than 16 things and movers; got 16"):
+        grid.world(lavaland, "many", "a crowd", things=things, **nothing)

@@ -10,7 +10,7 @@ from typing import Any
 
 from astray.game import Benchmark, Game, Outcome, Shift
 from astray.grid import abilities
-from astray.grid.abilities import World
+from astray.grid.abilities import OVER, World
 from astray.grid.looks import looks, sprites, symbols
 from astray.grid.rules import nearest
 from astray.places import Placement
@@ -48,7 +48,7 @@ def world(
         about: Description, a sentence.
         things: Character in drawings -> name of the kind and of its picture; the first is "#", a
             wall.
-        movers: The same for kinds that move on things.
+        movers: The same for kinds that move on things, with which there are at most 15.
         agents: Names of the agent's pictures, one for each value of `held`.
         variants: As in a `Game`.
         goals: As in a `Game`.
@@ -73,6 +73,8 @@ def world(
         there = ", ".join(events)
         raise ValueError(f"seek of {name!r} must have the goals {there}; it has {', '.join(seek)}")
     kinds = [*things.values(), *movers.values()]
+    if len(kinds) >= OVER:
+        raise ValueError(f"{name} must have less than {OVER} things and movers; got {len(kinds)}")
     made = World(
         module, side, things, movers, solid, hazards, stood, agents, events,
         seek, module.furnish, level_fields or {}, bounds or {},

@@ -20,7 +20,7 @@ from astray.validation import finite, one_of
 
 MOST_KNOWN = 100_000  # returns that a solver keeps, and steps of a way
 OVER = 16  # a mover's code counts so much in a level's grid
-SPARE = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # characters of movers that are on things
+SPARE = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789*"  # of movers on things
 
 
 @dataclass(frozen=True)
