@@ -122,10 +122,9 @@ def _write_data(
         _write(folder / "art" / f"{game.name}.json", {"pictures": drawings(game)})
         variants = _variants(lab, game, about, further.get(game.name))
         told = about_game(game)
-        names = {"variants", "knobs"}
+        kept = {n: {v: told[n][v] for v in variants} for n in ("variants", "knobs")}
         _write(folder.parent / rules.path(game), rules.module(game).encode())
-        found[game.name] = told | {n: {v: told[n][v] for v in variants} for n in names}
-        found[game.name]["rules"] = rules.entry(game)
+        found[game.name] = told | kept | {"rules": rules.entry(game)}
         for name in variants:
             data = {"levels": _levels(game, game.variant(name), levels)}
             _write(folder / "levels" / game.name / f"{name}.json", data)

@@ -99,7 +99,6 @@ def hello(session: Session, message: Message) -> Iterator[Reply]:
 @functools.cache
 def about_game(game: Game) -> Reply:
     """Return the page's description of a game."""
-    legend = dict(game.editing.LEGEND) if game.editing else {}
     sprites = game.sprites
     return {
         "about": brief(game.about),
@@ -110,7 +109,7 @@ def about_game(game: Game) -> Reply:
             name: {knob: getattr(v, knob) for knob in knobs(type(v))}
             for name, v in game.variants.items()
         },
-        "legend": legend,
+        "legend": dict(game.editing.LEGEND) if game.editing else {},
         "objects": dict(game.editing.OBJECTS) if game.editing else {},
         "real_time": game.real_time,
         "labels": bool(game.labels), "solver": bool(game.solver), "editing": bool(game.editing),
