@@ -65,7 +65,7 @@ def world(
         rest: Further fields of a `Game`.
 
     Raises:
-        ValueError: If `seek` has other goals than those that are events.
+        ValueError: If `seek` has other goals than those that are events, or there are 16 kinds.
     """
     movers, side = movers or {}, module.STATE["cell"].shape[0]
     events = {goal: event for goal, event in goals.items() if isinstance(event, str)}
