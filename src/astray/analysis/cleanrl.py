@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
-import torch
 from gymnasium.spaces import Box
 from torch import Tensor, nn
 
 from astray.agents.importers import pth
 from astray.agents.importers.files import LARGEST
+from astray.agents.importers.imported import build
 from astray.analysis.trained import Network
 from astray.files import read
 from astray.game import Game
@@ -93,15 +93,10 @@ def from_cleanrl(
 def _filled(weights: Mapping[str, Tensor]) -> Agent:
     """Return the network with these weights; raise ValueError if they are of another one."""
     try:
-        with torch.random.fork_rng(devices=[]):
-            network = Agent(weights)
-        network.load_state_dict(dict(weights))
-    except (KeyError, ValueError, RuntimeError) as error:
+        return build(lambda: Agent(weights), weights)
+    except (KeyError, ValueError) as error:
         there = ", ".join(list(weights)[:4])
         raise ValueError(
-            "it is not an agent of CleanRL's ppo.py, ppo_atari.py or ppo_procgen.py: its weights "
-            f"are {there}, ..."
+            f"it is not an agent of CleanRL's ppo.py, ppo_atari.py or ppo_procgen.py: {error}; its "
+            f"weights are {there}, ..."
         ) from error
-    if bad := [name for name, tensor in weights.items() if not tensor.isfinite().all()]:
-        raise ValueError(f"{bad[0]} is not all finite numbers")
-    return network
