@@ -28,12 +28,21 @@ class Residual(nn.Module):
         return rectified + self.conv2(self.conv1(rectified).relu())
 
 
+class Conv2d_tf(nn.Conv2d):  # as it is called there
+    def __init__(self, *sizes):
+        super().__init__(*sizes)
+        self.padding = "SAME"
+
+    def forward(self, x):
+        return nn.functional.conv2d(x, self.weight, self.bias, padding=1)
+
+
 class Layer(nn.Module):
     def __init__(self, before, after):
         super().__init__()
         parts = Residual(after), Residual(after)
         pool = nn.MaxPool2d(3, 2, 1)
-        self.main = nn.Sequential(nn.Conv2d(before, after, 3, padding=1), pool, *parts)
+        self.main = nn.Sequential(Conv2d_tf(before, after, 3), pool, *parts)
 
     def forward(self, x):
         return self.main(x)
@@ -66,7 +75,7 @@ class ExportModel(nn.Module):
 @pytest.fixture
 def saved(monkeypatch):
     """A function that saves modules as files of RLLTE, whose package is gone when they are read."""
-    classes = Residual, Layer, Encoder, Actor, ExportModel
+    classes = Residual, Conv2d_tf, Layer, Encoder, Actor, ExportModel
 
     def save(model):
         with monkeypatch.context() as patch:
@@ -95,6 +104,16 @@ def test_a_pickled_module_says_what_it_said_there(saved):
     assert values.abs().max() == 0 and "without a critic" in found.about
 
 
+def replaced(index, module):
+    """A change of a part of the first block."""
+    return lambda model: model.encoder.trunk[0].main.__setitem__(index, module)
+
+
+def noted(index, **settings):
+    """A change of settings of such a part."""
+    return lambda model: vars(model.encoder.trunk[0].main[index]).update(settings)
+
+
 def changed(model, change):
     change(model)
     return model
@@ -108,6 +127,23 @@ def changed(model, change):
         (
             lambda m: m.encoder.trunk[1].main.__setitem__(1, nn.AvgPool2d(3, 2, 1)),
             r"trunk\.1\.main\.1 is a AvgPool2d, which its network does not have",
+        ),
+        (
+            lambda m: m.encoder.trunk.__setitem__(5, nn.Identity()),
+            r"trunk\.5 is a Identity, which its network does not have",
+        ),
+        (
+            replaced(0, nn.ConvTranspose2d(3, 2, 3)),
+            r"trunk\.0\.main\.0 is a ConvTranspose2d, which",
+        ),
+        (replaced(1, nn.MaxPool2d(5, 2, 2)), r"main\.1\.kernel_size is 5; in its network 3"),
+        (replaced(1, nn.MaxPool2d(3, 2, 1, 2)), r"main\.1\.dilation is 2; in its network 1"),
+        (noted(1, stride=1), r"main\.1\.stride is 1; in its network 2"),
+        (noted(0, padding="VALID"), r"main\.0\.padding is 'VALID'; in its network \(1, 1\)"),
+        (noted(0, dilation=(2, 2)), r"main\.0\.dilation is \(2, 2\); in its network \(1, 1\)"),
+        (
+            lambda m: setattr(m.encoder.trunk[2].main[3].conv2, "padding_mode", "circular"),
+            r"conv2\.padding_mode is 'circular'; in its network zeros",
         ),
         (lambda m: setattr(m.actor, "actor", nn.Linear(256, 9)), "chooses from 9 actions"),
         (lambda m: setattr(m.encoder.trunk[4], "bias", None), "lacks features.linear.bias"),

@@ -15,11 +15,17 @@ import torch
 from astray.agents.importers import plain
 from astray.agents.importers.archive import opened
 from astray.agents.importers.imported import Imported, impala, rename
+from astray.validation import shown
 
 MARK = b"crllte.common.utils\nExportModel\n"  # with which its pickles begin, after two bytes
 FLOATS, LITTLE = "torch FloatStorage", b"little"
 DEEPEST, MOST = 8, 200  # modules in each other, and modules and parameters in all
-SILENT = ("ReLU", "MaxPool2d", "Flatten", "Identity", "Sequential")  # are without parameters
+# Kinds of modules with no others in them, and what settings of theirs may be, as torch notes them.
+CONVOLUTION = {"stride": [(1, 1)], "padding": [(1, 1), "SAME"], "dilation": [(1, 1)],
+               "groups": [1], "padding_mode": ["zeros"]}  # fmt: skip
+POOL = {"kernel_size": [3], "stride": [2], "padding": [1], "dilation": [1], "ceil_mode": [False]}
+KINDS = {"Conv2d": CONVOLUTION, "Conv2d_tf": CONVOLUTION, "MaxPool2d": POOL, "Linear": {},
+         "ReLU": {}, "Flatten": {}, "Identity": {}, "Sequential": {}}  # fmt: skip
 LONGEST = 100  # characters of a name; those of the network have 10
 NAMES = (
     (r"^encoder\.trunk\.4\.", "features.linear."), (r"^actor\.actor\.", "policy."),
@@ -78,8 +84,12 @@ def _parameters(root: Any) -> Iterator[tuple[str, np.ndarray]]:
         own, inner = _dict(state, "_parameters"), _dict(state, "_modules")
         if (left := left - len(own) - len(inner)) < 0:
             raise ValueError(f"it has more than {MOST} modules and parameters")
-        if not own and not inner and (kind := module.path.rpartition(" ")[2]) not in SILENT:
+        kind, is_relu = module.path.rpartition(" ")[2], path.endswith((".relu.", ".trunk.5."))
+        if not inner and (kind not in KINDS or (is_relu and kind != "ReLU")):
             raise ValueError(f"{path[:-1]} is a {kind[:LONGEST]}, which its network does not have")
+        for name, usual in KINDS.get(kind, {}).items():
+            if (noted := state.get(name, usual[0])) not in usual:
+                raise ValueError(f"{path}{name} is {shown(noted)}; in its network {usual[0]}")
         if path.endswith(".relu.") and state.get("inplace") is not True:
             raise ValueError(f"{path[:-1]} does not work in place, as that of its network does")
         for name, value in own.items():
