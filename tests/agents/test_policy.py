@@ -43,3 +43,13 @@ def test_a_file_that_a_network_misses_is_not_taken_for_the_agents_own(monkeypatc
     monkeypatch.setattr(policy.Architecture, "build", build)
     with pytest.raises(ValueError, match=r"not an agent that can be used: no vocabulary at words"):
         policy.load(path, "maze")
+
+
+def test_a_header_of_many_arrays_is_refused_before_it_is_read(tmp_path):
+    """One of 22 MB took 20 s and 0.4 GB; the library reads up to 100 MB."""
+    empty = '"%d":{"dtype":"U8","shape":[0],"data_offsets":[0,0]}'
+    told = ("{" + ",".join(empty % k for k in range(20_000)) + "}").encode()
+    path = tmp_path / "agent.safetensors"
+    path.write_bytes(len(told).to_bytes(8, "little") + told)
+    with pytest.raises(ValueError, match="its header must be of at most 1,048,576 bytes; it has"):
+        policy.load(path, "maze")

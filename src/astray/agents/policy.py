@@ -27,6 +27,7 @@ from astray.files import read
 from astray.validation import MOST, brief
 
 GROUP = "astray.networks"  # of entry points, by which installed packages offer theirs
+LARGEST = 2**20  # bytes of a file's header; those of agents have some 3,000
 FORMAT = 1  # of the files; goes up when an older version could not read them
 ROUNDED = 1e-3  # part of a logit by which rounding may change it
 SEQUENCES = ("shape", "largest", "widths")  # fields of an architecture that JSON has as lists
@@ -171,8 +172,9 @@ def read_tensors(path: Path, game: str) -> tuple[dict[str, Tensor], dict[str, An
     It is not mapped: a mapped file that shrinks kills the process, and Windows could not delete it.
     """
     data = read(path)
+    if (size := int.from_bytes(data[:8], "little")) > LARGEST:  # 22 MB took 20 s and 0.4 GB
+        raise ValueError(f"its header must be of at most {LARGEST:,} bytes; it has {size:,}")
     tensors = from_bytes(data)
-    size = int.from_bytes(data[:8], "little")  # of the JSON, which the library has checked
     return tensors, read_header(json.loads(data[8 : 8 + size]).get("__metadata__"), game)
 
 
