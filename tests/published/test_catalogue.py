@@ -170,6 +170,24 @@ def test_an_agent_of_another_game_of_procgen_is_refused(home, tmp_path):
         import_agent(tmp_path / "agent.jd", "fish", Known())
 
 
+@pytest.mark.parametrize("said", ["in its file", "beside it"])
+def test_what_is_too_long_to_be_noted_is_refused(home, tmp_path, said):
+    settings, source = ({"note": "a" * 2**20}, "") if said == "in its file" else ({}, "a" * 2**20)
+    (tmp_path / "agent.jd").write_bytes(joblib_bytes(clarity(**settings)[0]))
+    told = r"agent\.jd is refused: its settings or what is told of it are too long"
+    with pytest.raises(ValueError, match=told):
+        import_agent(tmp_path / "agent.jd", "long", Known(source=source))
+
+
+def test_a_file_whose_name_is_no_text_is_imported(home, tmp_path, runner):
+    file = tmp_path / os.fsdecode(b"agent-\xff.jd")
+    try:
+        file.write_bytes(runner)
+    except OSError:
+        pytest.skip("names of files are text here")
+    assert "`agent-?.jd`" in (import_agent(file, "mine", Known()) / "README.md").read_text()
+
+
 @pytest.mark.parametrize("option", ["--game=", "--variant=", "--art="])
 def test_an_empty_word_is_not_what_the_file_says(astray, home, tmp_path, runner, option):
     (tmp_path / "agent.jd").write_bytes(runner)

@@ -77,6 +77,8 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
         "source": known.source, "licence": known.licence, "about": known.about,
         "facts": known.facts, "file_says": dict(found.told),
     }  # fmt: skip
+    if len(json.dumps(origin, indent=2)) > folders.LARGEST:
+        raise ValueError(f"{file} is refused: its settings or what is told of it are too long")
     with made(folders.home(), name) as aside:
         there = aside / "checkpoints" / f"{known.steps or 0}"
         weights = policy.weights(found.network, found.architecture, config.game)
@@ -114,7 +116,7 @@ def write_card(run: Path, name: str) -> None:
         )
     except (TemplateError, AttributeError, TypeError) as error:
         raise ValueError(f"{run} has {ORIGIN} or {CHECKS} as astray does not: {error}") from error
-    write_aside(its.card, text.encode())
+    write_aside(its.card, text.encode(errors="replace"))  # a file's name may be no text
 
 
 def _config(file: Path, found: Imported, known: Known) -> tuple[Config, list[str]]:
