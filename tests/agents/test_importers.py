@@ -81,8 +81,15 @@ def test_a_file_of_rl_clarity_tells_what_it_was_trained_on():
 
 
 def test_a_setting_of_zero_is_told_and_no_levels_are_all_of_them():
-    found = jd.read(joblib_bytes(clarity(entropy_coeff=0.0, num_levels=0, start_level=0)[0]))
-    assert found.settings == {"gamma": 0.999, "entropy_weight": 0.0, "first_level": 0}
+    """Procgen then ignores the first level, too."""
+    found = jd.read(joblib_bytes(clarity(entropy_coeff=0.0, num_levels=0, start_level=7)[0]))
+    assert found.settings == {"gamma": 0.999, "entropy_weight": 0.0}
+
+
+@pytest.mark.parametrize("said", [0, False, "", 3])
+def test_a_difficulty_that_is_none_of_procgens_is_not_the_usual_one(said):
+    found = jd.read(joblib_bytes(clarity(distribution_mode=said)[0]))
+    assert found.world == ("coinrun", str(said))
 
 
 def test_every_activation_of_the_clear_network_is_named():
@@ -173,6 +180,7 @@ def other(module, *path, weights):
 
 
 DEEP = b"\x91" * 900 + b"\xc0"  # more than Python prints
+NUMBER = msgpack.ExtType(3, msgpack.packb((1, "uint8", b"a")))  # 14 MB of these took 11 s
 
 
 @pytest.mark.parametrize(
@@ -182,7 +190,9 @@ DEEP = b"\x91" * 900 + b"\xc0"  # more than Python prints
         (b"\x93\x01", "damaged, or not msgpack"),
         (b"\x91" * 5000, "damaged, or not msgpack"),
         (b"\x91\xdc\x08\x00" + b"\x90" * 2048, "2048 exceeds max_array_len"),
-        (msgpack.packb([[[]] * 1000] * 2), "more than 2,000 lists and dictionaries"),
+        (msgpack.packb([[[]] * 1000] * 2), "more than 2,000 lists"),
+        (msgpack.packb([[NUMBER] * 1000] * 3), "more than 2,000 lists, dictionaries and arrays"),
+        (cleanba((2, 2, 2), gamma=[0.5])[0], "its setting gamma must be a number or text; got "),
         (msgpack.packb(msgpack.ExtType(1, b"\x93\x90" + DEEP + b"\xc0")), "array of .*only num"),
         (flax_bytes({"0": {}, "1": {}}), "no settings and three modules"),
         (flax_bytes({"0": {}, "1": {"0": {}, "1": {}, "2": {}}}), "without parameters"),
@@ -451,6 +461,14 @@ REFUSED_JD = {
     "no inputs": (lambda: wrong("pi/dense/kernel", (0, 256)), r"is \(256, 0\); it would be"),
     "no outputs": (lambda: wrong("pi/dense/kernel", (512, 0)), r"is \(0, 512\); it would be"),
     "nothing": (lambda: wrong("pi/dense/kernel", (0, 0)), r"is \(0, 0\); it would be"),
+    "levels in a list": (
+        lambda: joblib_bytes(clarity(num_levels=[500])[0]),
+        r"its setting num_levels must be a number or text; got \[500\]",
+    ),
+    "a difficulty in a list": (
+        lambda: joblib_bytes(clarity(distribution_mode=["easy"])[0]),
+        r"its setting distribution_mode must be a number or text; got \['easy'\]",
+    ),
     "no channels": (lambda: wrong("pi/2a/conv2d/kernel", (3, 3, 0, 64)), r"is \(64, 0, 3, 3\); it"),
 }  # fmt: skip
 

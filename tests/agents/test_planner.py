@@ -86,6 +86,9 @@ def test_a_damaged_checkpoint_is_refused(tmp_path):
         "it lacks network_params/cell_list_0", flax_bytes({"params": {"params": {"a": IMAGES}}})
     )
     refused("it lacks net", text="{}")
+    settings.write_text("[" + "[]," * 350_000 + "0]")
+    with pytest.raises(ValueError, match=r"cfg.json must be of at most 1,048,576 bytes"):
+        planner.read(tmp_path)
     refused("", text="[1]")
     refused("", text=told[:30])
     refused("cell_list_2/.*, which its network does not", text=told.replace('rent": 3', 'rent": 2'))

@@ -16,12 +16,12 @@ import torch
 from torch import Tensor
 
 from astray.agents.importers import pth
-from astray.agents.importers.imported import Imported, Plain, impala, turned
+from astray.agents.importers.imported import Imported, impala, plain_settings, turned
 from astray.validation import shown
 
 ZIP = b"PK"  # with which files of torch begin
 ARRAY, SCALAR = 1, 3  # Flax's extension types
-PARTS = 2000  # of a list or dict, and of these themselves; a network has some 50
+PARTS = 2000  # of a list or dict, and of these and arrays themselves; a network has some 50
 DEEPEST = 8  # names on the way to a parameter; the network's have 4
 KINDS = ("float16", "float32", "float64", "int32", "int64", "uint8", "bool")  # of their numbers
 DENSE = {"0": "features.linear", "1": "policy", "2": "value"}  # by the module that has them
@@ -47,7 +47,7 @@ def read(data: bytes) -> Imported:
         case _:
             raise ValueError("it holds no settings and three modules, as cleanba's files do")
     tensors = dict(_tensors(modules))
-    told = {str(name): value for name, value in told.items() if isinstance(value, Plain)}
+    told = plain_settings(told, (*SETTINGS, "env_id"))
     ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there) is not None}
     more = _world(told.get("env_id")), ours, told
     return impala("impala-same", tensors, "CleanRL's cleanba", *more)
@@ -64,13 +64,13 @@ def unpacked(data: bytes) -> Any:
 
     def counted(several: Any) -> Any:
         if next(left, several) is several:
-            raise ValueError(f"it has more than {PARTS:,} lists and dictionaries")
+            raise ValueError(f"it has more than {PARTS:,} lists, dictionaries and arrays")
         return several
 
     def extended(code: int, packed: bytes) -> Any:
         if code not in (ARRAY, SCALAR):
             raise ValueError(f"it has the extension {code}, which is not an array")
-        shape, kind, raw = msgpack.unpackb(packed, **how)
+        shape, kind, raw = counted(msgpack.unpackb(packed, **how))
         if kind not in KINDS:
             raise ValueError(f"it has an array of {shown(kind)}; only numbers are read")
         array = np.frombuffer(raw, kind).reshape(shape)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from astray.agents.policy import Architecture
-from astray.validation import brief
+from astray.validation import brief, shown
 
 Plain = int | float | str | bool | None
 SHAPE = (64, 64, 3)  # what Procgen shows
@@ -36,6 +36,14 @@ class Imported:
     world: tuple[str, str] | None = None
     settings: Mapping[str, Plain] = field(default_factory=dict)
     told: Mapping[str, Plain] = field(default_factory=dict)
+
+
+def plain_settings(settings: Mapping[Any, Any], used: Iterable[str]) -> dict[str, Plain]:
+    """Return the settings that are plain; raise ValueError if one of those `used` is not."""
+    for name in used:
+        if not isinstance(said := settings.get(name), Plain):
+            raise ValueError(f"its setting {name} must be a number or text; got {shown(said)}")
+    return {n: x for n, x in settings.items() if isinstance(n, str) and isinstance(x, Plain)}
 
 
 def build(make: Callable[[], nn.Module], tensors: Mapping[str, Tensor]) -> Any:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from astray.agents.clear import BLOCKS
 from astray.agents.importers import plain
-from astray.agents.importers.imported import Imported, Plain, of_procgen, turned
+from astray.agents.importers.imported import Imported, of_procgen, plain_settings, turned
 from astray.validation import shown
 
 SCOPE = "ppo2_model/"
@@ -44,16 +44,16 @@ def read(data: bytes) -> Imported:
     network = settings.get("cnn", settings.get("arch", "clear"))
     if not isinstance(network, str) or network != "clear":
         raise ValueError(f"its network is {shown(network)}; of RL-Clarity's only 'clear' is read")
-    told = {n: x for n, x in settings.items() if isinstance(n, str) and isinstance(x, Plain)}
+    told = plain_settings(settings, (*SETTINGS, "env_name", "distribution_mode"))
     if told.get("use_lstm"):
         raise ValueError("it is a recurrent agent; only feed-forward ones are read")
     weights = _weights(found["params"])
     ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there) is not None}
     if not ours.get("levels"):  # Procgen's 0, and what is not set, mean: all levels there are
-        ours.pop("levels", None)
+        ours = {name: said for name, said in ours.items() if name not in ("levels", "first_level")}
     if told.get("reward_processing") == "none":
         ours["normalise_reward"] = False
-    mode = told.get("distribution_mode") or "hard"
+    mode = "hard" if told.get("distribution_mode") is None else told["distribution_mode"]
     world = (str(told["env_name"]), str(mode)) if told.get("env_name") else None
     return of_procgen("clear", weights, 'RL-Clarity: the "clear" network', world, ours, told)
 

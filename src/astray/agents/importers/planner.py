@@ -30,7 +30,7 @@ from astray.agents.importers.imported import build
 from astray.validation import bounded, brief, shown
 
 MODEL, SETTINGS = "model", "cfg.json"
-LARGEST = 512_000_000  # bytes; with its optimizer's state, DRC(3, 3) has some 20 MB
+LARGEST = {SETTINGS: 2**20, MODEL: 512_000_000}  # bytes; DRC(3, 3) has some 20 MB
 ONLY = {  # settings that are read with one value only
     "_type_": "cleanba.convlstm:ConvLSTMConfig", "norm": {"_type_": "cleanba.network:IdentityNorm"},
     "normalize_input": False, "residual": False, "use_relu": False, "skip_final": True,
@@ -82,7 +82,7 @@ def read(folder: str | Path) -> Planner:
         FileNotFoundError: If the folder lacks one of its two files.
         ValueError: If they are damaged or of another network, or msgpack is not installed.
     """
-    told, data = (files.read(Path(folder) / name, LARGEST) for name in (SETTINGS, MODEL))
+    told, data = (files.read(Path(folder) / name, most) for name, most in LARGEST.items())
     try:
         settings = json.loads(told)
         net = _checked(settings.get("cfg", settings)["net"])
