@@ -63,7 +63,7 @@ def test_agents_of_cleanrl_play_coinrun_of_envpool(tmp_path, monkeypatch):
     world = replace(example.WORLD, variants=short)
     plan = replace(example.EXPERIMENT.sizes["smoke"], levels=2, world=world)
     page = reproduce(replace(example.EXPERIMENT, sizes={"smoke": plan}), "smoke", tmp_path)
-    assert "reaches coin less often than in training" in page.read_text("utf-8")
+    assert "reaches “coin” less often than in training" in page.read_text("utf-8")
 
 
 class Stream(gymnasium.Env):
