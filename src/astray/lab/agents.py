@@ -21,7 +21,7 @@ from astray.insight.activations import layers
 from astray.insight.episode import GAMMA, LAMBDA
 from astray.lab import steering
 from astray.lab.messages import Message
-from astray.lab.worlds import Episode, World
+from astray.lab.worlds import Episode, World, as_json
 from astray.training import folders
 from astray.training.config import Config
 from astray.training.folders import AgentFolder
@@ -205,6 +205,5 @@ def arrows(agent: Shown, episode: Episode, with_effects: bool = False) -> Iterat
 
 
 def rounded(numbers: np.ndarray) -> Any:
-    """Round `numbers` [...] to eight decimal places for JSON, in which null stands for others."""
-    found = np.round(np.asarray(numbers, float), 8)
-    return np.where(np.isfinite(found), found, None).tolist()
+    """Round `numbers` [...] to eight decimal places."""
+    return as_json(np.round(np.asarray(numbers, float), 8))

@@ -166,11 +166,11 @@ class _Target(TargetDescriptor):
     options = CPUTargetOptions
 
     @functools.cached_property
-    def typing_context(self) -> Any:
+    def typing_context(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         return _Typing()
 
     @functools.cached_property
-    def target_context(self) -> Any:
+    def target_context(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         return _Context(self.typing_context, NAME)
 
 

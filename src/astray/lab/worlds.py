@@ -125,10 +125,16 @@ def is_played(game: Game) -> bool:
     return is_ours or grid.world_of(game) is not None
 
 
+def as_json(numbers: np.ndarray) -> Any:
+    """Return `numbers` [...] as lists, None for NaN and infinity, which JSON lacks."""
+    kept: Any = numbers.astype(object)
+    kept[~np.isfinite(numbers)] = None
+    return kept.tolist()
+
+
 def snapshot(game: Game, s: Any) -> dict[str, Any]:
-    """Return a state as JSON has it, None for infinity: the agent's place and all that moves."""
-    numbers = {name: np.asarray(s[name]) for name in shown_fields(game)}
-    fields = {name: np.where(np.isfinite(x), x, None).tolist() for name, x in numbers.items()}
+    """Return a state as plain data: the agent's place and everything that moves."""
+    fields = {name: as_json(np.asarray(s[name])) for name in shown_fields(game)}
     if is_drawn(game):
         return fields
     fields |= {"agent": game.editing.centre(s), "grid": game.editing.grid(s).tolist()}
