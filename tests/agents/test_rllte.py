@@ -126,11 +126,11 @@ def changed(model, change):
         (lambda m: m.encoder.trunk.__setitem__(5, nn.Tanh()), "trunk.5 is a Tanh, which its netw"),
         (
             lambda m: m.encoder.trunk[1].main.__setitem__(1, nn.AvgPool2d(3, 2, 1)),
-            r"trunk\.1\.main\.1 is a AvgPool2d, which its network does not have",
+            r"trunk\.1\.main\.1 is the module AvgPool2d, which its network does not have",
         ),
         (
             lambda m: m.encoder.trunk.__setitem__(5, nn.Identity()),
-            r"trunk\.5 is a Identity, which its network does not have",
+            r"trunk\.5 is the module Identity, which its network does not have",
         ),
         (
             replaced(0, nn.ConvTranspose2d(3, 2, 3)),

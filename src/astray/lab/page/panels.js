@@ -353,11 +353,9 @@ export class Panels {
   }
 
   #hands() {
-    const { lab } = this;
-    const s = lab.stage.state;
-    if (s?.taken === undefined) return "";
-    return ` In hand: ${s.taken - s.opened}; keys taken ${s.taken} of ${s.keys}, ` +
-      `chests opened ${s.opened} of ${s.chests}.`;
+    const { taken, keys, opened, chests } = this.lab.stage.state ?? {};
+    if ([taken, keys, opened, chests].includes(undefined)) return "";
+    return ` In hand: ${taken - opened}; keys taken ${taken} of ${keys}, chests opened ${opened} of ${chests}.`;
   }
 
   // The badge of a level: whether it distinguishes the goals; null where nobody says so.
