@@ -123,7 +123,10 @@ def changed(model, change):
     "change, message",
     [
         (lambda m: setattr(m.encoder.trunk[0].main[2].relu, "inplace", False), "work in place"),
-        (lambda m: m.encoder.trunk.__setitem__(5, nn.Tanh()), "trunk.5 is a Tanh, which its netw"),
+        (
+            lambda m: m.encoder.trunk.__setitem__(5, nn.Tanh()),
+            "trunk.5 is the module Tanh, which its netw",
+        ),
         (
             lambda m: m.encoder.trunk[1].main.__setitem__(1, nn.AvgPool2d(3, 2, 1)),
             r"trunk\.1\.main\.1 is the module AvgPool2d, which its network does not have",
@@ -134,7 +137,7 @@ def changed(model, change):
         ),
         (
             replaced(0, nn.ConvTranspose2d(3, 2, 3)),
-            r"trunk\.0\.main\.0 is a ConvTranspose2d, which",
+            r"trunk\.0\.main\.0 is the module ConvTranspose2d, which",
         ),
         (replaced(1, nn.MaxPool2d(5, 2, 2)), r"main\.1\.kernel_size is 5; in its network 3"),
         (replaced(1, nn.MaxPool2d(3, 2, 1, 2)), r"main\.1\.dilation is 2; in its network 1"),

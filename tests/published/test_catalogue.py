@@ -174,7 +174,7 @@ def test_an_agent_of_another_game_of_procgen_is_refused(home, tmp_path):
 def test_what_is_too_long_to_be_noted_is_refused(home, tmp_path, said):
     settings, source = ({"note": "a" * 2**20}, "") if said == "in its file" else ({}, "a" * 2**20)
     (tmp_path / "agent.jd").write_bytes(joblib_bytes(clarity(**settings)[0]))
-    told = r"agent\.jd is refused: its settings or what is told of it are too long"
+    told = r"agent\.jd is refused: its settings, or the notes on it, are too long"
     with pytest.raises(ValueError, match=told):
         import_agent(tmp_path / "agent.jd", "long", Known(source=source))
 

@@ -170,6 +170,9 @@ def read_tensors(path: Path, game: str) -> tuple[dict[str, Tensor], dict[str, An
     """Return the tensors of a safetensors file and its `header`.
 
     It is not mapped: a mapped file that shrinks kills the process, and Windows could not delete it.
+
+    Raises:
+        ValueError: If its header has more than LARGEST bytes, or is none of astray's.
     """
     data = read(path)
     if (size := int.from_bytes(data[:8], "little")) > LARGEST:  # 22 MB took 20 s and 0.4 GB

@@ -61,19 +61,18 @@ class Wary:
             _check_name("ETag", headers.get("X-Linked-Etag") or headers.get("ETag"), ETAG)
         # Its bytes come by another library, which nobody watches; without this they come by HTTP.
         headers.pop("X-Xet-Hash", None)
-        linked = headers.get("X-Linked-Size")  # of a large file, from where it is sent on
-        size = linked or headers.get("Content-Length")
-        is_right = size and size.isdecimal() and int(size) <= self.most
-        if not is_right and (linked or answer.is_success):
-            raise ValueError(
-                f"the Hub's answer must be of at most {self.most:,} bytes; it says {shown(size)}"
-            )
         if not answer.is_success:  # nobody needs what comes with it, which may not end
             answer.stream.close()
             answer.stream = http().ByteStream(b"")
         elif asked == "GET":
-            if (encoding := headers.get("Content-Encoding")) not in (None, "identity"):
+            encoding, size = headers.get("Content-Encoding"), headers.get("Content-Length")
+            if encoding not in (None, "identity"):
                 raise ValueError(f"the Hub's answer is compressed by {shown(encoding)}, unasked")
+            if not size or not size.isdecimal() or int(size) > self.most:
+                raise ValueError(
+                    f"the Hub's answer must be of at most {self.most:,} bytes; it says "
+                    f"{shown(size)}"
+                )
             answer.stream = _counted(answer.stream, self.come)
 
 
@@ -185,14 +184,10 @@ def reached(repository: str, revision: str | None, what: str, lacking: str) -> I
 
 @contextlib.contextmanager
 def _uncovered() -> Iterator[None]:
-    """Raise the Hub's error that huggingface_hub wrapped in another one."""
-    from huggingface_hub import errors
-
+    """Raise the Hub's error that huggingface_hub wrapped in a RuntimeError."""
     try:
         yield
-    except (RuntimeError, errors.LocalEntryNotFoundError) as error:
-        is_local = isinstance(error, errors.LocalEntryNotFoundError)
-        kinds = (errors.HfHubHTTPError,) if is_local else (OSError, ValueError, *unreachable())
-        if isinstance(error.__cause__, kinds):
+    except RuntimeError as error:
+        if isinstance(error.__cause__, (OSError, ValueError, *unreachable())):
             raise error.__cause__ from error
         raise

@@ -14,14 +14,13 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from astray import imports
 from astray.agents import policy
 from astray.envs.vector import IMAGE
-from astray.experiments.connection import Wary, reached, wary
+from astray.experiments.connection import Wary, reached, unreachable, wary
 from astray.experiments.keep import keep
 from astray.files import holds_only, read, write_aside
 from astray.training import folders
@@ -142,13 +141,13 @@ def pull(
     api = _api(endpoint)
     with folders.made(home, name) as aside, wary() as answers:
         # The cache has the commit in its paths, and notes by this which one the revision was.
-        ask = partial(api.hf_hub_download, local_files_only=offline)
-        take = partial(_take, ask, answers, repository)
-        digests = take(revision, DIGESTS, folders.LARGEST)
+        take = _taker(api, answers, repository, revision, offline)
+        digests = take(DIGESTS, folders.LARGEST)
         commit, promised = digests.parent.name, _promised(digests)
         _check_name(repository, commit)
+        take = _taker(api, answers, repository, commit, offline)
         for path, (size, digest) in promised.items():
-            here = take(commit, path, LARGEST_AGENT if AGENT.fullmatch(path) else LARGEST)
+            here = take(path, LARGEST_AGENT if AGENT.fullmatch(path) else LARGEST)
             write_aside(aside / path, _checked(repository, path, here, size, digest))
         _check_agent(repository, aside)
         source = {"repository": repository, "commit": commit, "revision": revision}
@@ -255,13 +254,37 @@ def _digests(folder: Path) -> dict[str, Any]:
     return {"format": FORMAT, "files": files}
 
 
-def _take(
-    ask: Callable[..., str], answers: Wary, of: str, commit: str | None, path: str, most: int
-) -> Path:
-    """Return a file of the repository `of`, of at most `most` bytes, in the cache."""
-    answers.most = most
-    with reached(of, commit, "pulled", DIGESTS):
-        return Path(answers.brought(partial(ask, of, path, revision=commit)))
+def _taker(
+    api: HfApi, answers: Wary, repository: str, commit: str | None, offline: bool
+) -> Callable[[str, int], Path]:
+    """Return a function that fetches a file of the repository, up to a size, into the cache."""
+
+    def take(path: str, most: int) -> Path:
+        def ask() -> str:
+            if not offline:
+                _check_size(api, repository, commit, path, most)
+            return api.hf_hub_download(repository, path, revision=commit, local_files_only=offline)
+
+        answers.most = most
+        with reached(repository, commit, "pulled", DIGESTS):
+            return Path(answers.brought(ask))
+
+    return take
+
+
+def _check_size(api: HfApi, repository: str, commit: str | None, path: str, most: int) -> None:
+    """Raise ValueError if a file is too large for astray, before the download."""
+    from huggingface_hub import get_hf_file_metadata, hf_hub_url
+    from huggingface_hub.errors import OfflineModeIsEnabled
+
+    url = hf_hub_url(repository, path, revision=commit, endpoint=api.endpoint)
+    try:
+        size = get_hf_file_metadata(url, endpoint=api.endpoint).size
+    except (OfflineModeIsEnabled, *unreachable()):
+        return  # then the cache has it, or nobody
+    if size is None or size > most:
+        told = "its size is not stated" if size is None else f"it has {size:,}"
+        raise ValueError(f"{repository}: {path} must be of at most {most:,} bytes; {told}")
 
 
 def _promised(file: Path) -> dict[str, tuple[int, str]]:

@@ -78,7 +78,7 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
         "facts": known.facts, "file_says": dict(found.told),
     }  # fmt: skip
     if len(json.dumps(origin, indent=2)) > folders.LARGEST:
-        raise ValueError(f"{file} is refused: its settings or what is told of it are too long")
+        raise ValueError(f"{file} is refused: its settings, or the notes on it, are too long")
     with made(folders.home(), name) as aside:
         there = aside / "checkpoints" / f"{known.steps or 0}"
         weights = policy.weights(found.network, found.architecture, config.game)

@@ -86,7 +86,9 @@ def _parameters(root: Any) -> Iterator[tuple[str, np.ndarray]]:
             raise ValueError(f"it has more than {MOST} modules and parameters")
         kind, is_relu = module.path.rpartition(" ")[2], path.endswith((".relu.", ".trunk.5."))
         if not inner and (kind not in KINDS or (is_relu and kind != "ReLU")):
-            raise ValueError(f"{path[:-1]} is the module {kind[:LONGEST]}, which its network does not have")
+            raise ValueError(
+                f"{path[:-1]} is the module {kind[:LONGEST]}, which its network does not have"
+            )
         for name, usual in KINDS.get(kind, {}).items():
             if (noted := state.get(name, usual[0])) not in usual:
                 raise ValueError(f"{path}{name} is {shown(noted)}; in its network {usual[0]}")
