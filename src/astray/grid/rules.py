@@ -11,7 +11,7 @@ from astray.record import NEVER, state_dtype
 ACTIONS = ("stay", "left", "right", "down", "up")
 DX, DY = np.array([0, -1, 1, 0, 0, 0, 0, 0]), np.array([0, 0, 0, -1, 1, 0, 0, 0])  # by action
 EMPTY, WALL = 0, 1  # codes; those of other things follow, and those of movers after these
-STAY, NOWHERE = 0, -1  # what a script does in a cell that it goes to, and cells it does not go to
+STAY, NOWHERE = 0, -1  # for `mark`: no action but to go there; no target of a script
 
 
 def state(side: int, events: Sequence[str], *numbers: str) -> np.dtype:
@@ -130,10 +130,10 @@ def count(layer, code):
 
 @kernel
 def mark(there, layer, code, action):
-    """Mark the cells of a layer with that code as a script's; return whether there are any.
+    """Mark a layer's cells with that code as a script's targets; return whether there are any.
 
     Args:
-        there: [side, side], the action that the script takes in each of its cells, else NOWHERE.
+        there: [side, side], the action that the script takes in each of its targets, else NOWHERE.
     """
     found = False
     for y in range(layer.shape[0]):

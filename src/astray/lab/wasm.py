@@ -41,7 +41,7 @@ UNCOUNTED = """
 define void @NRT_incref(ptr %info) alwaysinline { ret void }
 define void @NRT_decref(ptr %info) alwaysinline { ret void }
 """
-# Of numbers, in `page/rules/memory.js`.
+# NumPy's codes of the types of numbers that `page/rules/memory.js` has.
 CODES = ("b1", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8")
 LARGEST = 2**20  # bytes; a page keeps as much for constants
 IMPORTS, EXPORTS = 2, 7  # sections of a module

@@ -39,7 +39,7 @@ class Imported:
 
 
 def plain_settings(settings: Mapping[Any, Any], used: Iterable[str]) -> dict[str, Plain]:
-    """Return the settings that are plain; raise ValueError if one of those `used` is not."""
+    """Return the settings that are numbers or text; raise ValueError if one of `used` is not."""
     for name in used:
         if not isinstance(said := settings.get(name), Plain):
             raise ValueError(f"its setting {name} must be a number or text; got {shown(said)}")

@@ -20,7 +20,7 @@ from astray.validation import shown
 MARK = b"crllte.common.utils\nExportModel\n"  # with which its pickles begin, after two bytes
 FLOATS, LITTLE = "torch FloatStorage", b"little"
 DEEPEST, MOST = 8, 200  # modules in each other, and modules and parameters in all
-# Kinds of modules with no others in them, and what settings of theirs may be, as torch notes them.
+# Modules without inner modules, and the values that their settings may have, the usual one first.
 CONVOLUTION = {"stride": [(1, 1)], "padding": [(1, 1), "SAME"], "dilation": [(1, 1)],
                "groups": [1], "padding_mode": ["zeros"]}  # fmt: skip
 POOL = {"kernel_size": [3], "stride": [2], "padding": [1], "dilation": [1], "ceil_mode": [False]}
