@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from astray.experiments import catalogue, run
+from astray.experiments import catalogue, run, workers
 from astray.experiments.spec import Plan, name_of_run
 from astray.experiments.workers import expected
 from astray.training.config import Config
@@ -65,7 +65,8 @@ def test_the_levels_of_a_night_have_grown_when_its_rewards_alone_teach():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_how_long_a_night_takes_can_be_told(name, tmp_path):
+def test_how_long_a_night_takes_can_be_told(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(workers, "usable_processors", lambda: 2)
     night = plans(name)[0]
     trainings = night.trainings()
     configs = [c for name in night.agents for c in trainings[name]]

@@ -65,7 +65,8 @@ def test_all_are_those_of_the_size(done):
     assert len(done) > 5
 
 
-def test_hours_are_of_the_steps_that_are_left(tmp_path):
+def test_hours_are_of_the_steps_that_are_left(tmp_path, monkeypatch):
+    monkeypatch.setattr(workers, "usable_processors", lambda: 4)
     config = replace(TINY, steps=1024, checkpoint_every=2)
     train(config, tmp_path / "done", progress=False)
     todo = {tmp_path / "done": config} | {
@@ -76,6 +77,8 @@ def test_hours_are_of_the_steps_that_are_left(tmp_path):
     assert "4 agents, 1 of them trained; 108.0 million steps are left, about 15.0 hours" in told
     assert "about 30.0 hours with 1 at once" in expected(todo, 1000, workers=1)
     assert "about 10.0 hours" in expected(todo, 1000, workers=9)
+    monkeypatch.setattr(workers, "usable_processors", lambda: 2)  # which three at once share
+    assert "about 15.0 hours with 3 at once" in expected(todo, 1000, workers=3)
 
 
 def test_hours_say_where_a_processor_is_slower_than_those_measured(tmp_path, monkeypatch):
