@@ -134,7 +134,7 @@ EXPERIMENT = Experiment(
         "night": plan(
             maze_corner.NIGHT.changed(network="strided-impala"),
             "many-keys",
-            seeds=3,
+            seeds=2,
             differences="a network of two strided convolutions before one of the paper's blocks, "
             + maze_corner.LESSONS,
             speed=2500,
