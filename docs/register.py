@@ -79,7 +79,7 @@ def _plans(sizes: Mapping[Size, Plan]) -> Iterator[str]:
 def _points(rate: float) -> str:
     if math.isnan(rate):
         return ""
-    return "none" if rate >= 0.5 else f"{100 * rate:.0f} points"
+    return "none" if math.isinf(rate) else f"{100 * rate:.0f} points"
 
 
 if __name__ == "__main__":

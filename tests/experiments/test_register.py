@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from astray.estimate import Estimate
-from astray.experiments import catalogue
+from astray.experiments import catalogue, outcomes
 from astray.report.claims import Claim, above, corrected, every, near_zero
 from docs import register
 from helpers import registered
@@ -57,3 +57,9 @@ def test_a_plan_finds_more_with_more_agents():
     assert few[2] != few[2], "there are no two kinds"
     kinds = catalogue.load("minimax-regret").sizes["smoke"].power()
     assert kinds[3] < kinds[1], "sixteen kinds tell together how much agents differ"
+
+
+def test_pages_say_that_two_agents_that_differ_find_no_rates():
+    plan = replace(catalogue.load("maze-corner").sizes["smoke"], seeds=2)
+    told = outcomes.settings(plan)["found with a power of 80\u00a0%"].replace("\u00a0", " ")
+    assert "rates 39 % from their bound, or no rates where agents differ most" in told

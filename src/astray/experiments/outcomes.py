@@ -4,6 +4,7 @@ The policy "sampled" stands for the agents: as in the original, actions are samp
 """
 
 import contextlib
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -296,7 +297,10 @@ def settings(plan: Plan) -> dict[str, str]:
         told[key] = (
             values.popitem()[1] if alike else ", ".join(f"{n}: {v}" for n, v in values.items())
         )
-    near, far = (f"{100 * effect:.0f}\u00a0%" for effect in plan.power()[: len(SPREADS)])
+    near, far = (
+        f"rates {100 * effect:.0f}\u00a0% from their bound" if effect < math.inf else "no rates"
+        for effect in plan.power()[: len(SPREADS)]
+    )
     if plan.own:
         told = {"world": plan.game.name, "agents": ", ".join(plan.own)}
     if isinstance(game := plan.game, World) and game.level_key is not None:
@@ -304,8 +308,8 @@ def settings(plan: Plan) -> dict[str, str]:
     return told | {
         "seeds": str(plan.seeds),
         "levels evaluated": str(plan.levels),
-        "found with a power of 80\u00a0%": f"rates {near} from their bound, or {far} where agents "
-        f"differ most, by a standard deviation of {100 * max(SPREADS):g}\u00a0%",
+        "found with a power of 80\u00a0%": f"{near}, or {far} where agents differ most, by a "
+        f"standard deviation of {100 * max(SPREADS):g}\u00a0%",
     }
 
 

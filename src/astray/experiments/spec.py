@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 Size = Literal["smoke", "pixels", "night", "hour", "paper", "published"]
 SIZES: tuple[Size, ...] = get_args(Size)
 SPREADS = 0.03, 0.15  # standard deviations between agents: all learn alike, and they do not
+MOST_DISTANT = 0.5  # of rates from a bound: one in the middle has none further away
 OWN_LEVELS = 1_000_000  # the first level of tests of `own` agents, which they should not know
 FEEDING = 4  # threads of the environments of a training on a GPU, which waits for them
 PUBLISHED: Size = "published"  # of agents that others trained: nothing is trained
@@ -188,16 +189,18 @@ class Plan:
         """Return the detectable distances of rates and differences, with 80 % power.
 
         The distance of a rate is that from its bound. There is one value for each of `SPREADS`,
-        before corrections for the number of claims. With one agent only levels vary. With a single
-        kind of agents the difference is NaN.
+        before corrections for the number of claims; infinity if it would be `MOST_DISTANT` or more.
+        With one agent only levels vary. With a single kind of agents the difference is NaN.
         """
         alone = self.seeds == 1 or bool(self.published)
         kinds = len(self.agents) + len(self.own)
         agents, spreads = (1, (0.0, 0.0)) if alone else (self.seeds, SPREADS)
         rates = [detectable(agents, self.levels, spread) for spread in spreads]
         if kinds < 2:
-            return rates + [math.nan] * len(spreads)
-        return rates + [detectable(agents, self.levels, s, kinds=kinds) for s in spreads]
+            differences = [math.nan] * len(spreads)
+        else:
+            differences = [detectable(agents, self.levels, s, kinds=kinds) for s in spreads]
+        return [math.inf if one >= MOST_DISTANT else one for one in rates + differences]
 
     @property
     def config(self) -> Config:
