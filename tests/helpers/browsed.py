@@ -55,11 +55,14 @@ def browser():
         shown.close()
 
 
-def wait(page, expression):
-    """Wait until an expression is true; the page's policy bars `wait_for_function`."""
+def wait(page, so):
+    """Wait until an expression, or a function of the page, is true.
+
+    The page's policy bars `wait_for_function`.
+    """
     end = time.monotonic() + PATIENCE
-    while not page.evaluate(f"Boolean({expression})"):
-        assert time.monotonic() < end, f"still not so: {expression}"
+    while not (so(page) if callable(so) else page.evaluate(f"Boolean({so})")):
+        assert time.monotonic() < end, f"still not so: {so}"
         page.wait_for_timeout(30)
 
 

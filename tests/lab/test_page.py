@@ -1,7 +1,10 @@
 """The lab in a real browser: what a person does there, and what is seen then."""
 
+import base64
 import itertools
 import json
+import zlib
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
@@ -43,6 +46,12 @@ def drag(page, start, to):
     page.mouse.down()
     page.mouse.move(*page.evaluate(where, to), steps=4)
     page.mouse.up()
+
+
+def linked(page):
+    """The drawn level that the address holds, read without the page."""
+    (packed,) = parse_qs(urlsplit(page.evaluate("location.href")).fragment)["drawn"]
+    return json.loads(zlib.decompress(base64.urlsafe_b64decode(f"{packed}=="), -zlib.MAX_WBITS))
 
 
 def arrows(page):
@@ -324,7 +333,7 @@ def test_a_link_holds_level_and_agent(chrome, page, served):
     show(page, ROOM)
     drag(page, (5, 5), (5, 1))
     wait(page, "location.hash.includes('drawn') && lab.level.grid[1][5] === 2 && lab.fields.size")
-    page.wait_for_timeout(500)  # until the last of the drag is in the address
+    wait(page, lambda page: linked(page)["grid"][1][5] == 2)  # the last of the drag
     address = page.evaluate("location.href")
     with opened(chrome, address) as (other, told):
         assert other.evaluate("lab.text") == page.evaluate("lab.text")
