@@ -4,7 +4,6 @@ The policy "sampled" stands for the agents: as in the original, actions are samp
 """
 
 import contextlib
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -293,14 +292,10 @@ def settings(plan: Plan) -> dict[str, str]:
     told = {}
     for key in next(iter(every.values()), {}):
         values = {name: str(config[key]) for name, config in every.items()}
-        alike = len(set(values.values())) == 1
-        told[key] = (
-            values.popitem()[1] if alike else ", ".join(f"{n}: {v}" for n, v in values.items())
-        )
-    near, far = (
-        f"rates {100 * effect:.0f}\u00a0% from their bound" if effect < math.inf else "no rates"
-        for effect in plan.power()[: len(SPREADS)]
-    )
+        several = ", ".join(f"{name}: {value}" for name, value in values.items())
+        told[key] = several if len(set(values.values())) > 1 else values.popitem()[1]
+    near, far = (f"rates {100 * one:.0f}\u00a0% from their bound" if one < 1 else "no rates"
+                 for one in plan.power()[: len(SPREADS)])  # fmt: skip
     if plan.own:
         told = {"world": plan.game.name, "agents": ", ".join(plan.own)}
     if isinstance(game := plan.game, World) and game.level_key is not None:

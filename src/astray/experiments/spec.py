@@ -189,18 +189,15 @@ class Plan:
         """Return the detectable distances of rates and differences, with 80 % power.
 
         The distance of a rate is that from its bound. There is one value for each of `SPREADS`,
-        before corrections for the number of claims; infinity if it would be `MOST_DISTANT` or more.
-        With one agent only levels vary. With a single kind of agents the difference is NaN.
+        before corrections for the number of claims; infinity from `MOST_DISTANT` on. With one agent
+        only levels vary. With a single kind of agents the difference is NaN.
         """
         alone = self.seeds == 1 or bool(self.published)
         kinds = len(self.agents) + len(self.own)
         agents, spreads = (1, (0.0, 0.0)) if alone else (self.seeds, SPREADS)
         rates = [detectable(agents, self.levels, spread) for spread in spreads]
-        if kinds < 2:
-            differences = [math.nan] * len(spreads)
-        else:
-            differences = [detectable(agents, self.levels, s, kinds=kinds) for s in spreads]
-        return [math.inf if one >= MOST_DISTANT else one for one in rates + differences]
+        more = [detectable(agents, self.levels, s, kinds=kinds) for s in spreads if kinds > 1]
+        return [math.inf if x >= MOST_DISTANT else x for x in rates + (more or [math.nan] * 2)]
 
     @property
     def config(self) -> Config:

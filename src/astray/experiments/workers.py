@@ -70,10 +70,9 @@ def expected(todo: Mapping[Path, Config], speed: int, workers: int | None = None
     """
     done = {run: max(checkpoint.steps_saved(run), default=0) for run in todo}
     left = [max(config.steps - done[run], 0) for run, config in todo.items()]
-    processors = usable_processors()
-    at_once = min(workers or processors, len(left))
+    at_once = min(workers or usable_processors(), len(left))
     # Not less than the longest takes, and all of them share the processors.
-    seconds = max(max(left), sum(left) / min(at_once, processors)) / speed
+    seconds = max(max(left), sum(left) / min(at_once, usable_processors())) / speed
     trained = sum(steps == 0 for steps in left)
     native = get_host_cpu_features().get("avx512bf16")
     slower = "" if native else f" with bfloat16 products (without, as here, {SLOWER})"
