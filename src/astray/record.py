@@ -166,6 +166,6 @@ def centre(s: Any) -> list[float]:
     return [float(s.x), float(s.y)]
 
 
-def within(numbers: np.ndarray, first: int, after: int | np.ndarray) -> np.ndarray:
-    """Return a mask [...] of the `numbers` [...] from `first` to below `after` [...]."""
+def within(numbers: np.ndarray, first: int | np.ndarray, after: int | np.ndarray) -> np.ndarray:
+    """Return a mask [...] of the `numbers` [...] from `first` [...] to below `after` [...]."""
     return (numbers >= first) & (numbers < after)

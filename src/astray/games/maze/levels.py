@@ -184,7 +184,8 @@ def truths(s: np.ndarray) -> dict[str, np.ndarray]:
         found[place] = (s[f"{place}_x"] == NEVER) == (s[f"{place}_y"] == NEVER)
     for thing, shapes in (("goal", SHAPES), ("other", OTHERS)):
         found[f"{thing}_shape"] = within(s[f"{thing}_shape"], 0, len(shapes))
-        found[f"{thing}_colour"] = within(s[f"{thing}_colour"], 0, len(COLOURS))
+        is_drawn = s[f"{thing}_shape"] > 0  # without a colour it would be invisible
+        found[f"{thing}_colour"] = within(s[f"{thing}_colour"], is_drawn, len(COLOURS))
     return found
 
 

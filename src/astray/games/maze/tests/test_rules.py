@@ -134,7 +134,7 @@ def test_bad_knobs_are_explained(knobs, message):
     "field, value",
     [
         ("world", 31), ("window", 8), ("x", -3.5), ("y", 40.0), ("x", np.nan), ("goal_x", 25),
-        ("corner_y", -2), ("goal_shape", 7), ("other_colour", -1), ("walls", 3),
+        ("corner_y", -2), ("goal_shape", 7), ("goal_colour", 0), ("other_colour", -1), ("walls", 3),
         ("background", 9), ("background_offset", 2.0), ("cell", 9), ("mt_next", 624),
     ],
 )  # fmt: skip
