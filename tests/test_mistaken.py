@@ -404,6 +404,14 @@ def test_users_code_of_two_threads_at_once_leaves_the_streams_as_they_were(monke
     assert (sys.stdout, sys.stderr) == own
 
 
+def test_a_single_environment_takes_the_seeds_of_a_batch():
+    env = GameEnv("maze", "corner-small")
+    assert env.reset(seed=np.int64(9))[1] == env.reset(seed=9)[1]
+    for wrong in (-1, 2**63, True):
+        with pytest.raises(ValueError, match=f"seed must be an integer from 0 to .*; got {wrong}"):
+            env.reset(seed=wrong)
+
+
 @pytest.mark.parametrize("seed", [-1, 2**31, 2**63, 0.5])
 def test_a_seed_of_random_actions_is_one_that_its_numbers_have(seed):
     with pytest.raises(ValueError, match=r"^seed must be an integer from 0 to 2147483647; got"):

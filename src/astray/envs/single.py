@@ -37,8 +37,8 @@ class GameEnv(gymnasium.Env[np.ndarray, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, Info]:
-        super().reset(seed=seed)
         observations, info = self.vector.reset(seed=seed, options=options)
+        super().reset(seed=None if seed is None else int(seed))  # which takes no NumPy integer
         return observations[0], _scalars(info)
 
     def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, Info]:
