@@ -12,6 +12,7 @@ from astray.training.config import Config
 from astray.training.folders import START, TEACHER, AgentFolder
 from astray.training.levels import Growing
 from astray.training.loop import train
+from astray.training.settings import SEEDS
 from helpers.trainings import TINY
 
 NAMES = [name for name in catalogue.NAMES if {"night", "paper"} <= {*catalogue.load(name).sizes}]
@@ -94,6 +95,13 @@ def test_agents_that_only_teach_are_trained_first_and_are_in_no_table(tmp_path, 
         teacher = AgentFolder.open(run.run_folder(tmp_path, replace(teaching, seed=seed)))
         assert (folder / TEACHER).read_bytes() == teacher.weights.read_bytes()
         assert "update/kl" in (folder / "metrics.jsonl").read_text()
+
+
+@pytest.mark.parametrize("seed, first_seed", [(0, SEEDS - 1), (SEEDS - 1, 0), (5, SEEDS - 6)])
+def test_more_agents_than_there_are_seeds_are_refused_by_their_number(seed, first_seed):
+    agents = {"mouse": replace(TINY, seed=seed)}
+    with pytest.raises(ValueError, match="seeds must be an integer from 1 to 1; got 2"):
+        Plan(agents=agents, seeds=2, first_seed=first_seed, levels=1, differences="")
 
 
 def test_agents_begin_with_those_of_their_seed_that_were_trained_before(tmp_path, monkeypatch):

@@ -138,6 +138,7 @@ def test_what_is_no_plan_is_told():
         ("measures", None, "measures must be a Mapping; got None"),
         ("measures", {"m": 5}, "'m' of measures must be a function; got 5"),
         ("rewards", [], r"rewards must be a Mapping; got \[\]"),
+        ("seeds", 10**9, "seeds must be an integer from 1 to 10000; got 1000000000"),
         ("first_seed", 1.5, "first_seed must be an integer from 0 to .*; got 1.5"),
     ],
 )

@@ -38,6 +38,7 @@ Size = Literal["smoke", "pixels", "night", "hour", "paper", "published"]
 SIZES: tuple[Size, ...] = get_args(Size)
 SPREADS = 0.03, 0.15  # standard deviations between agents: all learn alike, and they do not
 MOST_DISTANT = 0.5  # of rates from a bound: one in the middle has none further away
+MOST_AGENTS = 10_000  # of one name, and of a sweep
 OWN_LEVELS = 1_000_000  # the first level of tests of `own` agents, which they should not know
 FEEDING = 4  # threads of the environments of a training on a GPU, which waits for them
 PUBLISHED: Size = "published"  # of agents that others trained: nothing is trained
@@ -122,8 +123,9 @@ class Plan:
             of_kind(part, given := getattr(self, part), Mapping)
             for name, one in given.items():
                 of_kind(f"{shown(name)} of {part}", one, kind)
-        bounded("seeds", self.seeds, 1, MOST)
         bounded("first_seed", self.first_seed, 0, SEEDS - 1)
+        first = self.first_seed + max((one.seed for one in self.agents.values()), default=0)
+        bounded("seeds", self.seeds, 1, min(MOST_AGENTS, SEEDS - first))
         bounded("speed", self.speed, 0, MOST)
         if not set(self.published) <= set(self.agents):
             raise ValueError("`published` must name agents of the plan")
@@ -222,9 +224,8 @@ class Plan:
 
     def trainings(self) -> dict[str, list[Config]]:
         """Return the settings of all agents that are trained here, also to teach alone."""
-        how: dict[str, Any] = {}
-        if self.device:
-            how = {"device": self.device, "threads": 1 if self.device == "cpu" else FEEDING}
+        threads = 1 if self.device == "cpu" else FEEDING
+        how: dict[str, Any] = {"device": self.device, "threads": threads} if self.device else {}
         only_teach = {
             self.called(student): config
             for student, config in self.teachers.items()

@@ -10,13 +10,12 @@ from typing import Any
 from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import LEVELS_PLAYED, shift_of
 from astray.experiments.levels import check_tests
-from astray.experiments.spec import Plan, Test
+from astray.experiments.spec import MOST_AGENTS, Plan, Test
 from astray.training.config import Config
 from astray.training.settings import KNOB, SEEDS, SHORT
 from astray.validation import bounded, one_of, shown
 from astray.variant import knobs
 
-MOST = 10_000  # agents of a sweep
 TRAINING, TEST = "in training", "in the test"
 Cell = tuple[Any, ...]  # a value of each axis
 
@@ -40,12 +39,11 @@ class Sweep:
 
     def __post_init__(self) -> None:
         bounded("seeds", self.seeds, 1, SEEDS - self.base.seed)
-        bounded("levels", self.levels, 1, MOST * 100)
+        bounded("levels", self.levels, 1, MOST_AGENTS * 100)
         count = math.prod(map(len, self.axes.values())) * self.seeds
-        if not self.axes or not all(self.axes.values()) or count > MOST:
-            raise ValueError(
-                f"a sweep must set something, in 1 to {MOST:,} agents; got {shown(self.axes)}"
-            )
+        if not self.axes or not all(self.axes.values()) or count > MOST_AGENTS:
+            given, most = shown(self.axes), f"{MOST_AGENTS:,}"
+            raise ValueError(f"a sweep must set something, in 1 to {most} agents; got {given}")
         for name, values in self.axes.items():
             if len({str(value) for value in values}) < len(values):
                 raise ValueError(f"{name} must take each value once; got {shown(list(values))}")
