@@ -27,7 +27,7 @@ class Terminated(KeyboardInterrupt):
 
 
 class _Lent:
-    """The standard streams and functions while users' code runs, which may replace them.
+    """The standard streams, functions and path while users' code runs, which may replace them.
 
     Threads that run such code at once share what is lent: the first lends, the last takes back.
     """
@@ -41,7 +41,7 @@ class _Lent:
             if self.inside > 1:
                 return
             self.standard = [(module, {**vars(module)}) for module in (builtins, json, os)]
-            self.own, self.output = (sys.stdout, sys.stderr), 0
+            self.own, self.path, self.output = (sys.stdout, sys.stderr), [*sys.path], 0
             if sys.__stderr__ and sys.stdout is sys.__stdout__:  # a program may read the output
                 stream = open(2, "w", 1, errors="backslashreplace", closefd=False)
                 sys.stdout = sys.stderr = stream
@@ -62,6 +62,8 @@ class _Lent:
                     os.dup2(self.output, 1)
                     os.close(self.output)
                 sys.stdout, sys.stderr = self.own
+                if lost := [place for place in self.path if place not in (sys.path or ())]:
+                    sys.path = [*(sys.path or ()), *lost]  # else others seem not to be installed
 
 
 _LENT = _Lent()

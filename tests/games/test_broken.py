@@ -165,6 +165,20 @@ def test_a_game_that_replaces_a_function_of_python_takes_nothing_else_down(
     games._offered.cache_clear()
 
 
+@pytest.mark.parametrize("ruin", ["sys.path.clear()", "sys.path[:] = ['here']", "sys.path = None"])
+def test_a_game_that_loses_the_path_of_modules_hides_no_game_after_it(tmp_path, monkeypatch, ruin):
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    for name in ("ruins", "whole"):
+        sys.modules.pop(name, None)  # of the case before
+    whole = "import dataclasses\nfrom astray import games\n"
+    whole += "GAME = dataclasses.replace(games.find('maze'), name='whole')"
+    offer(tmp_path, monkeypatch, ruins=f"import sys\n{ruin}\nGAME = 3", whole=whole)
+    before = [*sys.path]
+    found, broken = games.survey(lambda game: game.name)
+    assert "whole" in found and {*broken} == {"ruins"} and {*before} <= {*sys.path}
+    games._offered.cache_clear()
+
+
 def test_a_list_does_not_wait_for_a_thread_of_a_game(tmp_path, monkeypatch):
     waits = "import threading, time\nthreading.Thread(target=time.sleep, args=(600,)).start()"
     offer(tmp_path, monkeypatch, waits=waits)

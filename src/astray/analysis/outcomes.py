@@ -43,10 +43,9 @@ def load_shift(game: str | Game | World, shift: str | Shift) -> Shift:
         ValueError: If there is no such shift, variant or goal.
     """
     game = world.find(game)
-    shifts = game.shifts
     if not isinstance(shift, Shift):
-        one_of("shift", shift, shifts, of=game.name)
-    found = shift if isinstance(shift, Shift) else shifts[shift]
+        one_of("shift", shift, game.shifts, of=game.name)
+    found = shift if isinstance(shift, Shift) else game.shifts[shift]
     whose = f"{game.name}, named by the shift {shown(shift)}"
     for variant in (found.train, found.test):
         one_of("variant", variant, game.variants, of=whose)

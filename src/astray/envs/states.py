@@ -31,12 +31,11 @@ def save_states(path: Path, game: str | Game, states: np.ndarray) -> None:
         MemoryError: If their file does not fit.
     """
     game = games.find(game)
-    wanted = game.state
     of_kind("states", states, np.ndarray)
-    if states.dtype != wanted or states.ndim != 1:
+    if states.dtype != game.state or states.ndim != 1:
         given = f"{states.dtype} of shape {states.shape}"
         raise ValueError(f"states must be [N] records of {game.name}; got {given}")
-    file, plain = io.BytesIO(), np.dtype(wanted.descr)
+    file, plain = io.BytesIO(), np.dtype(states.dtype.descr)
     try:
         np.savez_compressed(file, game=game.name, format=FORMAT, states=states.view(plain))
         data = file.getvalue()
