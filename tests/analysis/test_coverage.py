@@ -61,6 +61,16 @@ def test_a_rare_agent_that_often_fails_is_missed_by_few(agents, told):
     assert abs(held - told) < 0.06
 
 
+@pytest.mark.parametrize("agents, told", [(2, 0.60), (3, 0.75), (4, 0.87), (5, 0.94)])
+def test_agents_of_two_kinds_are_missed_where_all_are_of_one(agents, told):
+    """Half succeed in 95 of 100 episodes, half in 5: as often as docs/evaluation.md says."""
+    random = np.random.default_rng(agents)
+    chance = np.where(random.random((TIMES, agents, 1)) < 0.5, 0.95, 0.05)
+    success = random.random((TIMES, agents, LEVELS)) < chance
+    held = np.mean([one.low <= 0.5 <= one.high for one in map(estimate_mean, success)])
+    assert abs(held - told) < 0.05
+
+
 @pytest.mark.parametrize("agents", [5, 10])
 def test_agents_that_differ_widely_are_covered_less_often(agents):
     """As docs/evaluation.md says; the rarest of them fail most."""
