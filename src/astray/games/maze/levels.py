@@ -182,10 +182,9 @@ def truths(s: np.ndarray) -> dict[str, np.ndarray]:
         for axis in "xy":
             found[f"{place}_{axis}"] = within(s[f"{place}_{axis}"], NEVER, s["world"])
         found[place] = (s[f"{place}_x"] == NEVER) == (s[f"{place}_y"] == NEVER)
-    for thing, shapes in (("goal", SHAPES), ("other", OTHERS)):
-        found[f"{thing}_shape"] = within(s[f"{thing}_shape"], 0, len(shapes))
-        is_drawn = s[f"{thing}_shape"] > 0  # without a colour it would be invisible
-        found[f"{thing}_colour"] = within(s[f"{thing}_colour"], is_drawn, len(COLOURS))
+    for one, shapes in (("goal", SHAPES), ("other", OTHERS)):  # invisible without colour
+        found[f"{one}_shape"] = within(s[f"{one}_shape"], 0, len(shapes))
+        found[f"{one}_colour"] = within(s[f"{one}_colour"], s[f"{one}_shape"] > 0, len(COLOURS))
     return found
 
 
