@@ -116,6 +116,26 @@ def test_a_network_that_keeps_its_memory_itself_is_refused(network):
         next(loop.iterate(CONFIG, network=network))
 
 
+class Normalises(MLP):
+    """Acts by the means of all minibatches, and learns by those of one."""
+
+    def __init__(self, a):
+        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        self.norm = nn.BatchNorm1d(a.width)
+
+    def hidden(self, observation):
+        return self.norm(super().hidden(observation))
+
+
+def test_a_network_that_is_another_in_learning_by_its_running_means_is_refused():
+    """In the first minibatch its policy was 1.5 nats from the one that had acted."""
+    with (
+        pytest.warns(UserWarning, match="as it is written"),
+        pytest.raises(ValueError, match="the same in acting and in learning; BatchNorm acts by"),
+    ):
+        next(loop.iterate(CONFIG, network=Normalises))
+
+
 @pytest.mark.parametrize("network", [Tanh, Drops])
 def test_a_network_without_memory_is_not_refused(network):
     with pytest.warns(UserWarning, match="as it is written"):

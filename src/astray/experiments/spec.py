@@ -194,8 +194,7 @@ class Plan:
         before corrections for the number of claims; infinity from `MOST_DISTANT` on. With one agent
         only levels vary. With a single kind of agents the difference is NaN.
         """
-        alone = self.seeds == 1 or bool(self.published)
-        kinds = len(self.agents) + len(self.own)
+        alone, kinds = self.seeds == 1 or self.published, len(self.agents) + len(self.own)
         agents, spreads = (1, (0.0, 0.0)) if alone else (self.seeds, SPREADS)
         rates = [detectable(agents, self.levels, spread) for spread in spreads]
         more = [detectable(agents, self.levels, s, kinds=kinds) for s in spreads if kinds > 1]

@@ -28,6 +28,9 @@ class Diverged(RuntimeError):
 def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
     """Check the network on the first rollout; return how far accelerated outputs differ."""
     config, using = trainer.config, trainer.fast.using
+    if any(isinstance(part, nn.modules.batchnorm._BatchNorm) for part in trainer.network.modules()):
+        told = "BatchNorm acts by running means, and learns by a minibatch's; LayerNorm by neither"
+        raise ValueError(f"a network must say the same in acting and in learning; {told}")
     if isinstance(samples, Sequences):
         check_recalled(trainer.network, samples)
     elif not using.of_network:
@@ -48,8 +51,7 @@ def check_memoryless(network: nn.Module, samples: Samples, config: Config) -> No
     """
     some = samples.at(torch.arange(0, len(samples), config.minibatches, device=config.device))
     (logits, value), again = network(some.observation), network(some.observation)
-    of_all = ppo.log_probabilities(logits)
-    log_probability = of_all.gather(-1, some.action[:, None]).squeeze(-1)
+    log_probability = ppo.log_probabilities(logits).gather(-1, some.action[:, None]).squeeze(-1)
     acted, learned = (some.log_probability, some.value), (log_probability, value)
     bounds = [APART * then.std() + ROUNDED * _size(then) for then in acted]
     bounds += [REPEATED * _size(said) for said in (logits, value)]
