@@ -26,7 +26,7 @@ class Diverged(RuntimeError):
 
 
 def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
-    """Check the network on the first rollout; return how far accelerated outputs differ."""
+    """Return how far accelerated outputs differ; raise ValueError if a network cannot learn."""
     config, using = trainer.config, trainer.fast.using
     if any(isinstance(part, nn.modules.batchnorm._BatchNorm) for part in trainer.network.modules()):
         told = "BatchNorm acts by running means, and learns by a minibatch's; LayerNorm by neither"
