@@ -1,11 +1,13 @@
 """Safe files: bounded reads, atomic writes, locks, and removal of astray's own files alone."""
 
 import contextlib
+import io
 import multiprocessing
 import os
 import re
 import shutil
 import stat
+import struct
 import sys
 import uuid
 import zipfile
@@ -14,11 +16,16 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from astray.validation import shown
+
 ASIDE = re.compile(r"\..+\.[0-9a-f]{32}")  # names that `aside_of` makes, and nobody else
 
 LOCK = ".lock"  # the file by which a process holds a folder
 ROOM = 2**20  # bytes that a disk must have left before the work whose results it gets
 MEMBERS = 20_000  # of an archive; the wheel of Procgen has some 1,000
+# Of an archive. Other methods unpack all that a few bytes ask for, whatever is read of it.
+METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
+ENCRYPTED = 1  # a bit of a member's flags
 LARGEST = 2**32  # bytes of a file that is read; none of astray's comes near
 UNGUARDED = ", as of a script without `if __name__ == '__main__':` where processes do not fork"
 
@@ -43,10 +50,29 @@ def read(path: Path, most: int = LARGEST) -> bytes:
         os.close(number)
 
 
-def check_members(data: bytes) -> None:
-    """Raise BadZipFile if an archive in memory lists so many members that they would fill it."""
+def archive_of(data: bytes, methods: Collection[int] = METHODS) -> zipfile.ZipFile:
+    """Open an archive in memory; raise BadZipFile unless its members can be read in bounded memory.
+
+    Args:
+        data: The archive's bytes.
+        methods: Ways of compression that are read, of `METHODS`.
+    """
     if (count := data.count(b"PK\1\2")) > MEMBERS:  # a member is 46 bytes, and to Python 1,000
         raise zipfile.BadZipFile(f"it has {count:,} files; at most {MEMBERS:,} are read")
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(data))
+    except (ValueError, OverflowError, NotImplementedError, struct.error) as error:
+        raise zipfile.BadZipFile(f"its table of contents cannot be read: {error}") from error
+    for member in archive.infolist():
+        if not 0 <= member.header_offset < len(data):
+            raise zipfile.BadZipFile(f"its {shown(member.filename)} begins outside of it")
+        if member.compress_type not in methods:
+            read = " or ".join(f"{METHODS[method]} ({method})" for method in methods)
+            told = f"is compressed by method {member.compress_type}; files must be {read}"
+            raise zipfile.BadZipFile(f"its {shown(member.filename)} {told}")
+        if member.flag_bits & ENCRYPTED:
+            raise zipfile.BadZipFile(f"its {shown(member.filename)} is encrypted")
+    return archive
 
 
 def check_readable(path: Path, most: int = LARGEST) -> None:

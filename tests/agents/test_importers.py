@@ -367,7 +367,7 @@ REFUSED_PTH = {
         lambda: archived(DEEP).rpartition(b"PK\5\6")[0] + archived(SHALLOW), "holds 'a', which"),
     "an archive behind a pickle": (lambda: DEEP + archived(SHALLOW), "a tuple is a key"),
     "a part that is too short": (lambda: archived(SHORT, numbers=bytes(8)), "more than the file"),
-    "a compressed pickle": (lambda: archived(BYTEARRAY, zipfile.ZIP_BZIP2), "it is compressed"),
+    "a compressed pickle": (lambda: archived(BYTEARRAY, zipfile.ZIP_BZIP2), "is compressed by"),
     "compressed weights": (lambda: archived(b"\x80\x02}.", zipfile.ZIP_DEFLATED), "compressed"),
     "a wrong checksum": (
         lambda: archived(BYTEARRAY).replace(BYTEARRAY, BYTEARRAY[:-1] + b" "), "damaged, or not"),

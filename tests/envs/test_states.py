@@ -16,6 +16,7 @@ from astray.envs import beginnings
 from astray.envs import states as states_in_files
 from astray.envs.states import load_states, save_states
 from astray.envs.vector import GameVectorEnv
+from astray.insight.activations import load_activations
 from helpers.cases import FEW, SHAPES
 
 MODES = list(AutoresetMode)
@@ -211,6 +212,16 @@ def test_what_would_unpack_to_more_than_the_memory_is_refused_before(tmp_path, m
     monkeypatch.setattr(memory, "available", lambda: 2**23)
     with pytest.raises(ValueError, match=r"the arrays of .* need 0.0 GB of memory; there are"):
         load_states(path, "maze")
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+@pytest.mark.parametrize("load", [lambda path: load_states(path, "maze"), load_activations])
+def test_arrays_that_unpack_whatever_is_read_of_them_are_refused(load, method, tmp_path):
+    with zipfile.ZipFile(path := tmp_path / "a.npz", "w", method) as file:
+        file.writestr("x" * 60_000, bytes(2**20))
+    with pytest.raises(ValueError, match=rf"x... is compressed by method {method}; files") as told:
+        load(path)
+    assert len(str(told.value)) < 500
 
 
 @pytest.mark.parametrize("game, variant", FEW)

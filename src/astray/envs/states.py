@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from astray import games
-from astray.files import read, write_aside
+from astray.files import archive_of, read, write_aside
 from astray.game import Game
 from astray.memory import check_memory
 from astray.validation import brief, counted, of_kind
@@ -62,9 +62,9 @@ def load_states(path: Path, game: str | Game) -> np.ndarray:
         why = brief(error) or f"it cannot be read ({short})"
         raise ValueError(f"{path} holds no states: {why}") from error
     if kept["game"].shape or str(kept["game"]) != game.name:
-        raise ValueError(f"{path} holds states of {kept['game']}, not of {game.name}")
+        raise ValueError(f"{path} holds states of {brief(kept['game'])}, not of {game.name}")
     if kept["format"].shape or kept["format"] != FORMAT:
-        raise ValueError(f"{path} has format {kept['format']}; this version reads {FORMAT}")
+        raise ValueError(f"{path} has format {brief(kept['format'])}; this version reads {FORMAT}")
     wanted, states = game.state, kept["states"]
     if states.ndim != 1 or states.dtype != np.dtype(wanted.descr):
         raise ValueError(f"{path} holds states with other fields than those of this version")
@@ -74,7 +74,6 @@ def load_states(path: Path, game: str | Game) -> np.ndarray:
 def arrays_of(path: Path) -> np.lib.npyio.NpzFile:
     """Open an .npz file; raise MemoryError if its arrays need more than there is."""
     # From bytes: NumPy leaves a file open that is no archive.
-    archive = io.BytesIO(read(path))
-    members = zipfile.ZipFile(archive).infolist()
+    members = archive_of(data := read(path)).infolist()
     check_memory(sum(member.file_size for member in members), f"the arrays of {path}")
-    return np.lib.npyio.NpzFile(archive, allow_pickle=False)
+    return np.lib.npyio.NpzFile(io.BytesIO(data), allow_pickle=False)

@@ -34,7 +34,7 @@ from astray.files import check_readable, folder_aside, write_aside
 from astray.game import Variant
 from astray.memory import check_memory
 from astray.training.folders import read_json
-from astray.validation import MOST, bounded, of_kind, one_of, path_of, shown
+from astray.validation import MOST, bounded, brief, of_kind, one_of, path_of, shown
 
 INDEX, LABELS, FORMAT = "index.json", "labels.parquet", 1
 LABEL = "label:"  # before the names of labels in an .npz file
@@ -264,7 +264,7 @@ def load_activations(path: Path) -> Activations:
     try:
         return _load_folder(path) if path.is_dir() else _load_file(path)
     except (*BROKEN, pl.exceptions.PolarsError, RecursionError, TypeError) as error:
-        raise ValueError(f"{path} holds no activations: {error}") from error
+        raise ValueError(f"{path} holds no activations: {brief(error)}") from error
 
 
 def _load_file(path: Path) -> Activations:

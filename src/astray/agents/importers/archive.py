@@ -1,7 +1,6 @@
 """Files of torch since 1.6: archives of a pickle, and of the numbers that it names."""
 
 import contextlib
-import io
 import struct
 import zipfile
 from collections.abc import Iterator
@@ -23,11 +22,8 @@ def opened(data: bytes) -> Iterator[tuple[zipfile.ZipFile, str, bytes]]:
             size: they are compressed, overlap, have one name, or are too many.
     """
     try:
-        files.check_members(data)
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        with files.archive_of(data, (zipfile.ZIP_STORED,)) as archive:  # as torch writes them
             parts = archive.infolist()
-            if any(one.compress_type != zipfile.ZIP_STORED for one in parts):
-                raise ValueError("it is compressed, which files of torch are not")
             sizes = {one.filename: one.file_size for one in parts}
             if sum(sizes.values()) > len(data) or len(sizes) < len(parts):
                 raise ValueError("it is damaged, or not a file of torch: its parts overlap")
