@@ -1,5 +1,7 @@
 """Trajectories in files: what is read is what was played."""
 
+import contextlib
+import io
 import json
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,8 +12,11 @@ import polars as pl
 import pytest
 
 import astray
+from astray import memory
 from astray.analysis import dataset
+from astray.analysis.parquet import unpacked
 from astray.analysis.policies import Random
+from astray.analysis.tables import read_table, write_table
 from astray.analysis.video import play
 from astray.envs.vector import GameVectorEnv
 
@@ -187,6 +192,79 @@ def test_what_is_no_data_set_is_told(tmp_path, what, message):
         next(dataset.read_trajectories(folder))
     with pytest.raises(FileNotFoundError, match="there is no data set in"):
         next(dataset.read_trajectories(tmp_path))
+
+
+C = pl.col
+
+
+def bytes_of(value):
+    return lambda name: C(name).map_elements(lambda x: value * len(x), pl.Binary)
+
+
+@pytest.mark.parametrize(
+    "file, changed, message",
+    [
+        ("dataset.json", {"shape": [7, 7, 4]}, r"must be uint8 of shape \(4, 7, 7\); got uint8 of"),
+        ("dataset.json", {"dtype": "int8"}, r"must be uint8 .*; got int8 of \(4, 7, 7\)"),
+        ("dataset.json", {"observation": "image"}, r"must be uint8 of shape \(64, 64, 3\); got"),
+        ("dataset.json", {"variant": {"side": 5}}, "its variant has other knobs"),
+        ("steps/00000.parquet", bytes_of(b"\xff")("observation"), "numbers that it cannot have"),
+        ("steps/00000.parquet", bytes_of(b"\xff")("state"), "state 0 is invalid|other levels"),
+        ("steps/00000.parquet", C("observation").bin.slice(1), "another number of bytes"),
+        ("steps/00000.parquet", C("reward").cast(pl.String), "its columns must be level, step"),
+        ("steps/00000.parquet", C("reward") / 0.0, "must be finite"),
+        ("steps/00000.parquet", C("action") + 99, "must be from 0 to 14; got"),
+        ("steps/00000.parquet", C("action") * 0.5, "must return integers"),
+        ("steps/00000.parquet", C("level") + 7, "other levels than their states"),
+        ("steps/00000.parquet", C("step") * 3, "a row for each state"),
+        ("steps/00000.parquet", C("step") + 1, "a row for each state"),
+        ("steps/00000.parquet", ~C("truncated"), "a row for each state"),
+        ("steps/00000.parquet", pl.lit(None, pl.Float64).alias("reward"), "a row for each state"),
+        ("episodes.parquet", C("return") + 1, "has no such episode of level 0"),
+        ("episodes.parquet", pl.lit("a").alias("level"), "has no such episode of level 0"),
+        ("episodes.parquet", pl.concat_list("level"), "is not as astray writes it"),
+    ],
+)
+def test_what_export_does_not_write_is_refused(tmp_path, file, changed, message):
+    folder = dataset.export(SYMBOLS, "maze", "corner-small", range(3), tmp_path / "set", longest=9)
+    if file == "dataset.json":
+        data = json.loads((folder / file).read_text()) | changed
+        (folder / file).write_text(json.dumps(data))
+    else:
+        pl.read_parquet(folder / file).with_columns(changed).write_parquet(folder / file)
+    with pytest.raises(ValueError, match=message):
+        list(dataset.read_trajectories(folder))
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        pl.DataFrame({"level": pl.repeat(1, 10**7, dtype=pl.Int64, eager=True)}),
+        pl.DataFrame({"observation": [bytes(10**8)]}),
+        pl.DataFrame({"action": [pl.repeat(1, 10**7, dtype=pl.Int64, eager=True)]}),
+    ],
+)
+def test_a_table_is_not_unpacked_if_it_needs_more_than_the_memory(table, tmp_path, monkeypatch):
+    write_table(table, path := tmp_path / "episodes.parquet")
+    assert path.stat().st_size < 10**5 and read_table(path).equals(table)
+    monkeypatch.setattr(memory, "available", lambda: 10**8 - 1)
+    monkeypatch.setattr(pl, "read_parquet", None)
+    with pytest.raises(MemoryError, match=r"the table .* need 0.. GB of memory; there are 0.1"):
+        read_table(path)
+
+
+def test_damaged_headers_of_a_table_are_told():
+    table = pl.DataFrame({"level": [1, 2, 3], "seen": [b"a", b"b", None]})
+    table.write_parquet(file := io.BytesIO())
+    data = file.getvalue()
+    assert unpacked(data) < 1_000
+    for at in range(4, len(data)):
+        for byte in (0, 0x19, 0xFF):
+            with contextlib.suppress(ValueError):
+                unpacked(data[:at] + bytes([byte]) + data[at + 1 :])
+    for end in range(len(data)):
+        with pytest.raises(ValueError, match=r"damaged|its footer must"):
+            unpacked(data[:end])
 
 
 def test_the_verb_writes_agents_and_scripts(astray, tmp_path):

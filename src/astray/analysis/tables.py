@@ -6,7 +6,9 @@ from pathlib import Path
 
 import polars as pl
 
+from astray.analysis.parquet import unpacked
 from astray.files import read, write_aside
+from astray.memory import check_memory
 from astray.validation import brief, path_of
 
 SIGN = b"sha256 of the rest, by astray: "  # with a digest, between a Parquet file's data and footer
@@ -33,6 +35,10 @@ def read_table(path: Path, signed: bool = False) -> pl.DataFrame:
     rest = before + after[hashlib.sha256().digest_size :]
     if (sign or signed) and not after.startswith(hashlib.sha256(rest).digest()):
         raise ValueError(f"{path} is not a table of astray's: it has changed since it was written")
+    try:
+        check_memory(unpacked(data), f"the table {path}")
+    except ValueError as error:
+        raise ValueError(f"{path} is not a table of astray's: {error}") from error
     try:  # polars would expand [ and * in a path; damaged tables may make it panic
         return pl.read_parquet(io.BytesIO(data))
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:

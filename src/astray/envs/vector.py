@@ -39,6 +39,15 @@ OPTIONS = ("level", "state", "reset_mask")  # of a reset
 Observation = Literal["image", "symbolic"]
 
 
+def space_of(game: Game, variant: Variant, observation: Observation) -> spaces.Box:
+    """Return the space of the observations in a variant."""
+    one_of("observation", observation, Observation)
+    if observation == "image":
+        return spaces.Box(0, 255, (IMAGE, IMAGE, 3), np.uint8)
+    largest = game.symbols.planes(variant)
+    return spaces.Box(np.zeros_like(largest), largest, dtype=np.uint8)
+
+
 def quickest(game: Game) -> Observation:
     """Return the kind of observations that takes the least time to make."""
     return "symbolic" if game.symbols else "image"
@@ -92,7 +101,6 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.variant = self.game.variant(variant)
         bounded("num_envs", num_envs, 1, MOST)
         bounded("threads", threads, 1, most_threads())
-        one_of("observation", observation, Observation)
         if render_mode is not None:
             one_of("render_mode", render_mode, Literal["rgb_array"])
         self.num_envs, self.render_mode, self.observation = num_envs, render_mode, observation
@@ -105,14 +113,10 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.autoreset_mode = mode  # as Gymnasium's own have it; others look for it here
         self.metadata = {"render_modes": ["rgb_array"], "autoreset_mode": mode, "render_fps": 15}
 
+        self.single_observation_space = space_of(self.game, self.variant, observation)
         if self.symbolic:
-            largest = self.game.symbols.planes(self.variant)
-            self.single_observation_space = spaces.Box(
-                np.zeros_like(largest), largest, dtype=np.uint8
-            )
             scene = self.game.symbols.planes_scene_shape(self.variant)
         else:
-            self.single_observation_space = spaces.Box(0, 255, (IMAGE, IMAGE, 3), np.uint8)
             scene = looks.scene_shape(self.variant, IMAGE)
         numbers = math.prod(self.single_observation_space.shape)
         each = COPIES * numbers + math.prod(scene) + 2 * self.game.state.itemsize
