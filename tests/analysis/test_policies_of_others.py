@@ -356,6 +356,27 @@ def test_a_checkpoint_of_cleanrl_computes_what_its_script_does(script, tmp_path)
         assert evaluate(policy, WORLD, "anywhere", LEVELS).height == len(LEVELS)
 
 
+IMAGES = Box(0, 255, (4, 84, 84), np.uint8)
+
+
+@pytest.mark.parametrize(
+    "script, space, said",
+    [
+        (of_atari, Box(0, 1, IMAGES.shape, np.float32), "sees images of 0 to 255, and divides by"),
+        (of_atari, Box(0, 255, (84, 84, 4), np.uint8), r"does not see Box\(0, 255, \(84, 84, 4\)"),
+        (of_atari, Box(0, 255, (4, 64, 64), np.uint8), r"does not see Box\(0, 255, \(4, 64, 64\)"),
+        (of_vectors, Box(-1, 1, (4,)), r"does not see Box\(-1.0, 1.0, \(4,\)"),
+        (of_vectors, None, "space must be a Box; got None"),
+    ],
+)
+def test_an_agent_of_cleanrl_is_refused_for_a_space_that_it_does_not_see(
+    script, space, said, tmp_path
+):
+    torch.save(script()[0].state_dict(), tmp_path / "ppo.cleanrl_model")
+    with pytest.raises(ValueError, match=f"ppo.cleanrl_model is refused: .*{said}"):
+        from_cleanrl(tmp_path / "ppo.cleanrl_model", space)
+
+
 def test_a_file_of_another_agent_is_refused(tmp_path):
     path = tmp_path / "dqn.cleanrl_model"
     torch.save(nn.Linear(2, 2).state_dict(), path)

@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+import torch
 from gymnasium.spaces import Box
 from torch import Tensor, nn
 
@@ -20,7 +22,7 @@ from astray.agents.importers.imported import build
 from astray.analysis.trained import Network
 from astray.files import read
 from astray.game import Game
-from astray.validation import brief, path_of
+from astray.validation import brief, of_kind, path_of, shown
 from astray.world import World
 
 STRIDES = (4, 2, 1)  # of the convolutions for Atari, Mnih et al. (2015)
@@ -76,7 +78,8 @@ def from_cleanrl(
         mode: "sampled" draws actions from the policy, "greedy" takes the most likely.
 
     Raises:
-        ValueError: If the file is damaged, holds more than weights, or weights of another network.
+        ValueError: If the file is damaged, holds more than weights, or weights of another network,
+            or if its network does not see such observations.
     """
     data = read(path_of("path", path), LARGEST)
     try:
@@ -85,9 +88,23 @@ def from_cleanrl(
             network: nn.Module = pth.read(data).network
         else:
             network = _filled(weights)
+        _check_sees(network, space)
     except ValueError as error:
         raise ValueError(f"{path} is refused: {brief(error)}") from error
     return Network(network, space, game, name=name, mode=mode, seed=seed)
+
+
+def _check_sees(network: nn.Module, space: Box) -> None:
+    """Raise ValueError unless the network sees observations of `space`."""
+    of_kind("space", space, Box)
+    is_byte = (space.low == 0).all() and (space.high == 255).all()
+    if getattr(network, "sees_images", True) and not is_byte:
+        raise ValueError(f"it sees images of 0 to 255, and divides by 255; got {shown(space)}")
+    try:
+        with torch.no_grad():
+            network(torch.from_numpy(np.zeros((1, *space.shape), space.dtype)))
+    except (RuntimeError, TypeError, IndexError) as error:
+        raise ValueError(f"it does not see {shown(space)}: {brief(error)}") from error
 
 
 def _filled(weights: Mapping[str, Tensor]) -> Agent:
