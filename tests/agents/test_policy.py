@@ -35,6 +35,19 @@ def test_a_network_of_planes_knows_the_largest_value_of_each(largest, said):
         policy.Architecture("mlp", (4, 7, 7), largest, 15)
 
 
+@pytest.mark.parametrize("name", ["patch-pooled", "cells"])
+def test_an_agent_that_sees_more_than_any_picture_is_refused_before_it_is_built(name, tmp_path):
+    """The weights of these networks are the same for all shapes: 60 kB took 7 GB and 113 s."""
+    architecture = policy.Architecture(name, (64, 64, 3), (), 15)
+    tensors, path = architecture.build().state_dict(), tmp_path / "agent.safetensors"
+    told = asdict(architecture) | {"shape": [10_000, 10_000, 3]}
+    path.write_bytes(save(tensors, policy.header("maze", architecture=told)))
+    with pytest.raises(
+        ValueError, match=r"an observation must have at most 33,554,432 numbers; its"
+    ):
+        policy.load(path, "maze")
+
+
 def test_a_file_that_a_network_misses_is_not_taken_for_the_agents_own(monkeypatch):
     def build(self):
         raise FileNotFoundError("no vocabulary at words.txt")

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -24,10 +25,11 @@ from astray.agents.names import check_network, depth_and_ticks, is_own
 from astray.agents.patch import nature, overlap, patch, patch_impala, strided_impala
 from astray.agents.recurrent import WithCell
 from astray.files import read
-from astray.validation import MOST, brief
+from astray.validation import MOST, brief, shown
 
 GROUP = "astray.networks"  # of entry points, by which installed packages offer theirs
 LARGEST = 2**20  # bytes of a file's header; those of agents have some 3,000
+MOST_SEEN = 2**25  # numbers of an observation: a picture of 4K has 25 million
 FORMAT = 1  # of the files; goes up when an older version could not read them
 ROUNDED = 1e-3  # part of a logit by which rounding may change it
 SEQUENCES = ("shape", "largest", "widths")  # fields of an architecture that JSON has as lists
@@ -60,6 +62,9 @@ class Architecture:
         are_sizes = all(type(n) is int and 1 <= n <= MOST for n in sizes)
         if not are_sizes or not self.shape or len(self.widths) != 3:
             raise ValueError(f"sizes of networks must be integers from 1 to {MOST}; got {self}")
+        if math.prod(self.shape) > MOST_SEEN:  # on which no weights of some networks depend
+            told = f"at most {MOST_SEEN:,} numbers; its shape is {shown(self.shape)}"
+            raise ValueError(f"an observation must have {told}")
         if self.largest and len(self.largest) != self.shape[0]:
             raise ValueError(f"`largest` must have a number for each plane; got {self}")
         check_network(self.name)
