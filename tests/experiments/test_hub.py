@@ -218,6 +218,14 @@ def rewritten(server, changes):
     server.repositories["ada/mouse"].commit("main", there)
 
 
+def other_largest(weights):
+    """An agent that takes the fourth plane to have one more value."""
+    size = int.from_bytes(weights[:8], "little")
+    header = weights[8 : 8 + size].replace(b"1, 1, 6, 6]", b"1, 1, 6, 7]")
+    assert header != weights[8 : 8 + size]
+    return weights[:8] + header + weights[8 + size :]
+
+
 def settings(server, **changes):
     data = json.loads(files(server)["config.json"])
     data["config"] |= changes
@@ -237,7 +245,9 @@ def settings(server, **changes):
                                             validation=None)},
          "of the game 'maze', not of 'coinrun'"),
         (lambda s: {"config.json": settings(s, variant="corner", validation=None)},
-         r"must be mlp that sees \(4, 25, 25\) and has 15 actions; got mlp that sees \(4, 7, 7\)"),
+         r"must be mlp that sees \(4, 25, 25\) of .*, with 15 actions; got mlp that sees \(4, 7, 7\)"),
+        (lambda s: {WEIGHTS: other_largest(files(s)[WEIGHTS])},
+         r"of at most \(1, 1, 6, 6\), with 15 actions; got mlp .* of at most \(1, 1, 6, 7\), with"),
         (lambda s: {"config.json": settings(s, network="os:system")},
          r"its network must be os:system that sees .*; got mlp that sees"),
         (lambda s: {"evil.py": b"import os"}, "must name an agent's files; got 'evil.py'"),

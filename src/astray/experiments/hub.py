@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from astray import imports
 from astray.agents import policy
-from astray.envs.vector import IMAGE
+from astray.envs.vector import space_of
 from astray.experiments.connection import Wary, reached, unreachable, wary
 from astray.experiments.keep import keep
 from astray.files import holds_only, read, write_aside
@@ -334,13 +334,13 @@ def _check_agent(repository: str, folder: Path) -> None:
     except (ValueError, OSError) as error:
         said = brief(str(error).replace(str(folder), repository))
         raise ValueError(f"{repository} holds no agent that can be used: {said}") from error
-    game, seen = config.find_game(), (IMAGE, IMAGE, 3)
-    if config.observation != "image":
-        seen = game.symbols.planes(config.training_variant()).shape
-    wanted = (config.network, seen, len(game.actions))
-    given = (architecture.name, architecture.shape, architecture.actions)
+    game = config.find_game()
+    space = space_of(game, config.training_variant(), config.observation)
+    largest = () if config.observation == "image" else tuple(space.high.max((1, 2)).tolist())
+    wanted = (config.network, space.shape, largest, len(game.actions))
+    given = (architecture.name, architecture.shape, architecture.largest, architecture.actions)
     if given != wanted or not holds_only(path.parent, (path.name,)):
-        told = "{} that sees {} and has {} actions"
+        told = "{} that sees {} of at most {}, with {} actions"
         raise ValueError(
             f"{repository}: its network must be {told.format(*wanted)}; got {told.format(*given)}"
         )
