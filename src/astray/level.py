@@ -11,7 +11,7 @@ import numpy as np
 
 from astray.game import Game, Variant
 from astray.record import NEVER, is_trusted
-from astray.validation import check_cell, of_kind, one_of, shown
+from astray.validation import brief, check_cell, of_kind, one_of, shown
 
 AGENT, EMPTY = "@", "."  # in the drawings of all games
 ON = f"{AGENT} on "  # prefix of the line below a drawing with what the agent stands on
@@ -169,15 +169,7 @@ class Level:
         """
         game = self.game
         self._check_stands()
-        try:
-            s = game.editing.build(self.cells, self.agent, self.looks, self.variant)
-        except (TypeError, IndexError, OverflowError, ValueError) as error:
-            if not self.looks:
-                raise
-            replace(self, looks={}).state(solvable=False)  # raises what else is wrong
-            raise ValueError(
-                f"a level's looks are {shown(dict(self.looks))}; these cannot be: {error}"
-            ) from error
+        s = self._built()
         s["level"] = NEVER
         game.check(np.array([s], game.state), self.variant)
         _check_told(self.looks, game.editing.describe(s)["looks"], "a level's looks")
@@ -190,6 +182,17 @@ class Level:
                             f"the {name} at cell {cell} cannot be reached from {self.agent}"
                         )
         return s
+
+    def _built(self) -> Any:
+        """Return the game's state of the level, unchecked; raise ValueError if looks cannot be."""
+        try:
+            return self.game.editing.build(self.cells, self.agent, self.looks, self.variant)
+        except (TypeError, IndexError, OverflowError, ValueError) as error:
+            if not self.looks:
+                raise
+            replace(self, looks={}).state(solvable=False)  # raises what else is wrong
+            told = f"{shown(dict(self.looks))}; these cannot be: {brief(error)}"
+            raise ValueError(f"a level's looks are {told}") from error
 
     def to_json(self) -> dict[str, Any]:
         """Return the level as JSON-serialisable data; see the game's `describe`."""
@@ -268,7 +271,7 @@ class Level:
         empty = self.game.editing.LEGEND[EMPTY]
         if not any(self._is_inside((x, y)) and self.cells[y, x] == empty for x, y in shared):
             return self
-        s = self.game.editing.build(self.cells, self.agent, self.looks, self.variant)
+        s = self._built()
         looks = self.game.editing.describe(s)["looks"]
         return replace(self, cells=self.game.editing.grid(s), looks=looks)
 

@@ -247,6 +247,17 @@ def test_bad_data_is_explained(change, message, first_levels):
             Level.from_json(level.game, level.variant, level.to_json() | change)
 
 
+@pytest.mark.parametrize("look", [[[1, 1, {}]], {"a": [[]]}, [[10**400]], [[0.5, 0.5]] * 9_999])
+def test_a_look_of_any_other_kind_is_told_in_one_error(look, first_levels):
+    for level in first_levels:
+        data = level.to_json()
+        for name in data["looks"]:
+            told = data | {"looks": data["looks"] | {name: look}}
+            with pytest.raises(ValueError, match="these cannot be|but in this level") as error:
+                Level.from_json(level.game, level.variant, told)
+            assert len(str(error.value)) < 500
+
+
 def test_what_is_told_of_a_level_must_be_true_of_it(first_levels):
     for level in first_levels:
         x, y = level.to_json()["agent"]
