@@ -73,6 +73,14 @@ def test_a_clear_network_computes_what_its_description_says():
         assert value == pytest.approx(expected[1], abs=1e-4)
 
 
+def test_weights_in_the_byte_order_of_other_processors_are_the_same_weights():
+    data, _ = clarity()
+    wanted = jd.read(joblib_bytes(data)).network.state_dict()
+    data["params"] = {name: array.astype(">f4") for name, array in data["params"].items()}
+    found = jd.read(joblib_bytes(data)).network.state_dict()
+    assert all(torch.equal(found[name], weights) for name, weights in wanted.items())
+
+
 def test_a_file_of_rl_clarity_tells_what_it_was_trained_on():
     found = jd.read(joblib_bytes(clarity(gamma=0.99, num_envs=8, num_levels=None)[0]))
     assert found.world == ("coinrun", "hard")

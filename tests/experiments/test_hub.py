@@ -245,7 +245,7 @@ def settings(server, **changes):
                                             validation=None)},
          "of the game 'maze', not of 'coinrun'"),
         (lambda s: {"config.json": settings(s, variant="corner", validation=None)},
-         r"must be mlp that sees \(4, 25, 25\) of .*, with 15 actions; got mlp that sees \(4, 7, 7\)"),
+         r"must be mlp that sees \(4, 25, 25\) of .* 15 actions; got mlp that sees \(4, 7, 7\)"),
         (lambda s: {WEIGHTS: other_largest(files(s)[WEIGHTS])},
          r"of at most \(1, 1, 6, 6\), with 15 actions; got mlp .* of at most \(1, 1, 6, 7\), with"),
         (lambda s: {"config.json": settings(s, network="os:system")},

@@ -253,7 +253,7 @@ def test_a_look_of_any_other_kind_is_told_in_one_error(look, first_levels):
         data = level.to_json()
         for name in data["looks"]:
             told = data | {"looks": data["looks"] | {name: look}}
-            with pytest.raises(ValueError, match="these cannot be|but in this level") as error:
+            with pytest.raises(ValueError, match=r"these cannot be|but in this level") as error:
                 Level.from_json(level.game, level.variant, told)
             assert len(str(error.value)) < 500
 

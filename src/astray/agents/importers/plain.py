@@ -190,7 +190,7 @@ class _Machine:
         data = self.file.read(min(count * dtype.itemsize, self.size))
         if len(data) < count * dtype.itemsize:
             raise ValueError(f"an array of {shown(shape)} goes beyond the end of the file")
-        flat = np.frombuffer(data, dtype).copy()
+        flat = np.frombuffer(data, dtype).astype(dtype.newbyteorder("="))  # as torch needs it
         if description["order"] == "F":
             return flat.reshape(shape[::-1]).T
         return flat.reshape(shape)
