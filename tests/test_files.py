@@ -260,6 +260,18 @@ def test_a_link_among_what_is_written_again_is_told_before_the_work(tmp_path):
         check_free(tmp_path, "plan.json", b"ours", ("figures", "report.html"))
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names")
+@pytest.mark.parametrize("make, what", [(os.mkdir, "a folder"), (os.mkfifo, "a pipe")])
+def test_a_folder_or_pipe_in_the_place_of_a_file_is_told_before_the_work(make, what, tmp_path):
+    (tmp_path / "plan.json").write_text("it is ours")
+    (tmp_path / "figures").mkdir()
+    names = ("figures", "findings.json")
+    check_free(tmp_path, "plan.json", b"ours", names)
+    make(tmp_path / "findings.json")
+    with pytest.raises(OSError, match=rf"findings\.json must be a file to write; it is {what}"):
+        check_free(tmp_path, "plan.json", b"ours", names)
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, OSError])
 def test_nothing_is_left_beside_a_file_that_was_not_written(tmp_path, monkeypatch, error):
     (tmp_path / "a").write_bytes(b"old")

@@ -261,8 +261,10 @@ def check_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> 
             raise OSError(f"{folder / mark} was not written by astray; it would be replaced")
         inside = (path for name in names for path in (folder / name).glob("**/*"))
         for path in (*(folder / name for name in names), *inside):
-            if path.is_symlink() and not path.is_dir():  # or it would be told after the work
-                raise OSError(f"{path} must be a file to write; it is a link")
+            if (
+                path.name in names and path.suffix
+            ) or not path.is_dir():  # ours have folders without
+                check_own(path)  # or it would be told after the work
         return
     for name in names:
         if os.path.lexists(folder / name):
