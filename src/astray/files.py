@@ -67,8 +67,8 @@ def archive_of(data: bytes, methods: Collection[int] = METHODS) -> zipfile.ZipFi
         if not 0 <= member.header_offset < len(data):
             raise zipfile.BadZipFile(f"its {shown(member.filename)} begins outside of it")
         if member.compress_type not in methods:
-            read = " or ".join(f"{METHODS[method]} ({method})" for method in methods)
-            told = f"is compressed by method {member.compress_type}; files must be {read}"
+            those = " or ".join(f"{METHODS[method]} ({method})" for method in methods)
+            told = f"is compressed by method {member.compress_type}; files must be {those}"
             raise zipfile.BadZipFile(f"its {shown(member.filename)} {told}")
         if member.flag_bits & ENCRYPTED:
             raise zipfile.BadZipFile(f"its {shown(member.filename)} is encrypted")
@@ -261,9 +261,8 @@ def check_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> 
             raise OSError(f"{folder / mark} was not written by astray; it would be replaced")
         inside = (path for name in names for path in (folder / name).glob("**/*"))
         for path in (*(folder / name for name in names), *inside):
-            if (
-                path.name in names and path.suffix
-            ) or not path.is_dir():  # ours have folders without
+            is_file = path.name in names and path.suffix  # ours have folders without
+            if is_file or not path.is_dir():
                 check_own(path)  # or it would be told after the work
         return
     for name in names:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import polars as pl
 
-from astray.analysis.parquet import unpacked
 from astray.files import read, write_aside
 from astray.memory import check_memory
 from astray.validation import brief, path_of
 
+NUMBER = 8  # bytes of most of a table's values in memory
 SIGN = b"sha256 of the rest, by astray: "  # with a digest, between a Parquet file's data and footer
 
 
@@ -30,16 +30,20 @@ def write_table(table: pl.DataFrame, path: Path) -> None:
 
 
 def read_table(path: Path, signed: bool = False) -> pl.DataFrame:
-    """Return the table of a Parquet file; raise ValueError if it is damaged, or not `signed`."""
+    """Return the table of a Parquet file.
+
+    Raises:
+        MemoryError: If so many rows do not fit.
+        ValueError: If it is damaged, or not `signed`.
+    """
     before, sign, after = (data := read(path)).partition(SIGN)
     rest = before + after[hashlib.sha256().digest_size :]
     if (sign or signed) and not after.startswith(hashlib.sha256(rest).digest()):
         raise ValueError(f"{path} is not a table of astray's: it has changed since it was written")
-    try:
-        check_memory(unpacked(data), f"the table {path}")
-    except ValueError as error:
-        raise ValueError(f"{path} is not a table of astray's: {error}") from error
     try:  # polars would expand [ and * in a path; damaged tables may make it panic
-        return pl.read_parquet(io.BytesIO(data))
+        file = pl.scan_parquet(io.BytesIO(data))
+        count = file.select(pl.len()).collect().item() * len(file.collect_schema())
+        check_memory(NUMBER * count, f"the table {path}")  # of which a few bytes may be millions
+        return file.collect()
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise ValueError(f"{path} is not a table of astray's: {brief(error)}") from error
