@@ -9,8 +9,8 @@ Minari's layout is data/main_data.hdf5, which its readers accept.
 """
 
 import errno
+import itertools
 import json
-import math
 import os
 import shutil
 from collections import Counter
@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -33,21 +33,11 @@ from astray.envs.steps import choices
 from astray.envs.vector import GameVectorEnv, space_of
 from astray.files import check_writable, folder_aside, read, write_aside
 from astray.game import Game, Variant
-from astray.memory import check_memory
 from astray.record import count_levels
 from astray.validation import MOST, brief, of_kind, one_of, path_of, shown
 from astray.world import World, WorldVariant
 
 Format = Literal["parquet", "minari"]
-COLUMNS: dict[str, Any] = {
-    "level": pl.Int64, "step": pl.Int32, "action": pl.Int64, "reward": pl.Float64,
-    "terminated": pl.Boolean, "truncated": pl.Boolean, "observation": pl.Binary, "state": pl.Binary,
-}  # fmt: skip
-DONE = ("action", "reward", "terminated", "truncated")  # null in the last row of an episode
-ACTIONS = (pl.Int64, pl.Float64, pl.List(pl.Int64), pl.List(pl.Float64))
-TOLD = ("level", "return", "length", "terminated")  # of episodes.parquet, before the events
-AT_ONCE = 8  # episodes that are checked together: a check takes 1 ms
-EPISODE = 1_000  # bytes of a row of it to Python, or less
 FORMAT = 1  # version of dataset.json
 PART = 64_000_000  # bytes of observations and states in a file of steps, or a little more
 BATCH = 32  # episodes at once: of 500 steps and images they are 200 MB
@@ -192,25 +182,26 @@ def write_parquet(
 
 def _episode(one: Trajectory, game: Game) -> dict[str, Any]:
     last, total = one.states[-1], float(one.rewards.sum())
-    told = zip(TOLD, (one.level, total, len(one), one.terminated), strict=True)
-    return dict(told) | {n: int(last[n]) if last[n] >= 0 else None for n in game.events}
+    told = {"level": one.level, "return": total, "length": len(one), "terminated": one.terminated}
+    return told | {event: int(last[event]) if last[event] >= 0 else None for event in game.events}
 
 
 def _rows(one: Trajectory) -> pl.DataFrame:
     """Return a row for each state; action and results are null in the last one."""
     count, number = len(one), pl.Float64 if one.actions.dtype.kind == "f" else pl.Int64
-    data = {
-        "level": [one.level] * (count + 1),
-        "step": range(count + 1),
-        "action": [*one.actions.tolist(), None],
-        "reward": [*one.rewards.tolist(), None],
-        "terminated": [*_last(count, one.terminated), None],
-        "truncated": [*_last(count, not one.terminated), None],
-        "observation": [x.tobytes() for x in one.observations],
-        "state": [x.tobytes() for x in one.states],
-    }
     kind = number if one.actions.ndim == 1 else pl.List(number)
-    return pl.DataFrame(data, schema=COLUMNS | {"action": kind})
+    return pl.DataFrame(
+        {
+            "level": pl.Series([one.level] * (count + 1), dtype=pl.Int64),
+            "step": pl.Series(range(count + 1), dtype=pl.Int32),
+            "action": pl.Series([*one.actions.tolist(), None], dtype=kind),
+            "reward": pl.Series([*one.rewards.tolist(), None], dtype=pl.Float64),
+            "terminated": [*_last(count, one.terminated), None],
+            "truncated": [*_last(count, not one.terminated), None],
+            "observation": [x.tobytes() for x in one.observations],
+            "state": [x.tobytes() for x in one.states],
+        }
+    )
 
 
 def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Trajectory]:
@@ -235,18 +226,16 @@ def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Traject
             raise ValueError(f"it is of {shown(about['game'])}, not of {game.name!r}")
         if json.loads(json.dumps(np.dtype(game.state.descr).descr)) != about["state"]:
             raise ValueError("its states have other fields than those of this version")
-        variant, its = _played(game, about)
+        played = _played(game, about)
     except FileNotFoundError:
         raise FileNotFoundError(f"there is no data set in {folder}") from None
     except (ValueError, KeyError, TypeError, RecursionError, SyntaxError) as error:  # of a dtype
         raise ValueError(f"{path} cannot be read as a data set: {brief(error)}") from error
     path = folder / "episodes.parquet"
     try:
-        episodes = read_table(path)
-        check_memory(EPISODE * len(episodes), f"{len(episodes):,} episodes")
-        left = Counter(episodes.select(*TOLD, *game.events).rows())
+        left = Counter(read_table(path).rows())
         for path in sorted((folder / "steps").glob("[0-9]*.parquet")):
-            for one in _episodes(read_table(path), game, variant, its):
+            for one in _trajectories(read_table(path), game, *played):
                 left[told := tuple(_episode(one, game).values())] -= 1
                 if left[told] < 0:
                     raise ValueError(f"episodes.parquet has no such episode of level {one.level}")
@@ -257,21 +246,19 @@ def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Traject
         raise ValueError(f"{folder} lacks the steps of {missing} episodes")
 
 
-class Seen(NamedTuple):
-    """Observations of a data set: their shape, type and largest values."""
+def _played(
+    game: Game, about: Mapping[str, Any]
+) -> tuple[Variant | None, tuple[int, ...], np.dtype, Any]:
+    """Return the variant of a data set, and its observations' shape, type and largest values.
 
-    shape: tuple[int, ...]
-    kind: np.dtype
-    largest: np.ndarray | float | None  # of symbols; images have any byte
-
-
-def _played(game: Game, about: Mapping[str, Any]) -> tuple[Variant | None, Seen]:
-    """Return the variant that was played and its observations; raise ValueError if they differ."""
+    Raises:
+        ValueError: If these are not the game's.
+    """
     shape, kind = tuple(about["shape"]), np.dtype(about["dtype"])
     if isinstance(game, World):  # whose knobs are not written
         if kind.kind not in "biuf" or any(type(n) is not int or not 0 <= n <= MOST for n in shape):
             raise ValueError(f"its observations must be numbers; got {kind} of {shown(shape)}")
-        return None, Seen(shape, kind, np.inf)
+        return None, shape, kind, np.inf
     of_kind("variant", given := about["variant"], dict)
     makes = {type(one): one for one in game.variants.values()}
     make = next((kind for kind in makes if given.keys() == {f.name for f in fields(kind)}), None)
@@ -282,70 +269,37 @@ def _played(game: Game, about: Mapping[str, Any]) -> tuple[Variant | None, Seen]
     if (shape, kind) != (space.shape, space.dtype):
         told = f"{space.dtype} of shape {space.shape}; got {kind} of {shown(shape)}"
         raise ValueError(f"its observations must be {told}")
-    # Any byte is part of an image.
-    return variant, Seen(shape, kind, space.high if about["observation"] != "image" else None)
+    return variant, shape, kind, space.high
 
 
-def _episodes(
-    rows: pl.DataFrame, game: Game, variant: Variant | None, its: Seen
+def _trajectories(
+    rows: pl.DataFrame,
+    game: Game,
+    variant: Variant | None,
+    shape: tuple[int, ...],
+    kind: np.dtype,
+    largest: Any,
 ) -> Iterator[Trajectory]:
     """Yield the episodes in a table of steps; raise ValueError for what `export` does not write."""
-    lengths = _lengths(rows)
-    size = math.prod(its.shape) * its.kind.itemsize
-    check_memory(len(rows) * (size + game.state.itemsize), f"{len(rows):,} observations and states")
-    widths = rows.select(pl.col("state", "observation").bin.size()).unique()
-    if widths.rows() != [(game.state.itemsize, size)]:
-        raise ValueError("an observation or a state has another number of bytes than in this game")
-    begin = 0
-    for some in (lengths[k : k + AT_ONCE] for k in range(0, len(lengths), AT_ONCE)):
-        here, ends = rows.slice(begin, some.sum()), np.cumsum(some)
-        begin += len(here)
-        states = np.frombuffer(b"".join(here["state"]), game.state)
-        seen = np.frombuffer(b"".join(here["observation"]), its.kind).reshape(-1, *its.shape)
-        actions = np.array(here["action"].drop_nulls().to_list())
-        rewards = here["reward"].drop_nulls().to_numpy()
-        if not np.array_equal(here["level"], np.repeat(states["level"][ends - some], some)):
-            raise ValueError("its rows have other levels than their states")
-        if its.largest is not None and not (seen <= its.largest).all():  # nor is NaN
-            raise ValueError("an observation has numbers that it cannot have")
-        if actions.dtype.kind not in "if" or not np.isfinite(rewards).all():
-            raise ValueError("actions and rewards must be finite numbers")
-        if variant is not None:
-            game.check(states, variant)
-            choices("the data set", actions, len(rewards), spaces.Discrete(len(game.actions)))
-        for k, (end, length) in enumerate(zip(ends.tolist(), some.tolist(), strict=True)):
-            both, done = slice(end - length, end), slice(end - length - k, end - k - 1)
-            ended = here["terminated"][end - 2]
-            level = int(states["level"][end - length])
-            yield Trajectory(level, seen[both], states[both], actions[done], rewards[done], ended)
-
-
-def _lengths(rows: pl.DataFrame) -> np.ndarray:
-    """Return the number of rows of each episode in a table of steps.
-
-    Raises:
-        ValueError: If they are not a row for each state.
-    """
-    acted = rows.schema.get("action")
-    if acted not in ACTIONS or rows.schema != COLUMNS | {"action": acted}:
-        raise ValueError(f"its columns must be {', '.join(COLUMNS)}; got {shown(rows.schema)}")
+    states = np.frombuffer(b"".join(rows["state"]), game.state)
+    seen = np.frombuffer(b"".join(rows["observation"]), kind).reshape(-1, *shape)
+    if not (seen <= largest).all():  # nor is NaN
+        raise ValueError("an observation has numbers that it cannot have")
+    if variant is not None:
+        game.check(states, variant)
     begins = np.flatnonzero(rows["step"].eq_missing(0))
-    lengths = np.diff(begins, append=len(rows))
-    last, over = np.zeros((2, len(rows)), np.int64)
-    last[(ends := begins + lengths - 1)], over[ends - 1] = 1, 1
-    absent = rows.select(pl.all().is_null().cast(int)).to_numpy()
-    wanted = np.outer(last, [name in DONE for name in COLUMNS])
-    stops = rows.select(pl.sum_horizontal("terminated", "truncated").cast(int)).to_series()
-    if (
-        not begins.size
-        or begins[0]
-        or lengths.min() < 2
-        or not np.array_equal(rows["step"], np.arange(len(rows)) - np.repeat(begins, lengths))
-        or not np.array_equal(absent, wanted)
-        or not np.array_equal(stops, over)
-    ):
-        raise ValueError("an episode must be a row for each state, and end in the one before last")
-    return lengths
+    for begin, end in itertools.pairwise([0, *begins[1:].tolist(), len(rows)]):
+        here, done = slice(begin, end), rows[begin : end - 1]
+        actions, rewards = np.array(done["action"].to_list()), done["reward"].to_numpy()
+        level, terminated = int(states["level"][begin]), bool(done["terminated"][-1])
+        one = Trajectory(level, seen[here], states[here], actions, rewards, terminated)
+        if not _rows(one).equals(rows[here]):
+            raise ValueError("an episode must be a row for each state, in the columns of `export`")
+        if not np.isfinite(rewards).all():
+            raise ValueError("rewards must be finite")
+        if variant is not None:
+            choices("the data set", actions, len(one), spaces.Discrete(len(game.actions)))
+        yield one
 
 
 def write_minari(
