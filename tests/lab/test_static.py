@@ -21,10 +21,72 @@ from astray.lab.link import link
 from astray.lab.messages import read
 from astray.lab.serving import make_lab
 from astray.lab.session import Lab, Session
-from astray.lab.worlds import is_drawn, read_world
+from astray.lab.worlds import is_drawn, read_world, snapshot
 from astray.level import Level
 from astray.training.ppo import RewardNormaliser, advantages
+from helpers import moor
 from helpers.browsed import PLAY, folder_served, knobs, opened, wait
+
+WHOLE = "JSON.stringify(told, (_, x) => (typeof x === 'bigint' ? JSON.rawJSON(`${x}`) : x))"
+MOOR = {"game": "moor", "agent": ""}
+
+
+@pytest.fixture(scope="module")
+def moors(chrome, tmp_path_factory):
+    """A page with the world of a guest, in which chance decides more than cells show."""
+    folder = tmp_path_factory.mktemp("moor") / "site"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(games._registered, "moor", moor.GAME)
+        export(make_lab("maze-corner", {}), folder, 12, [], {"moor": "either"})
+        with folder_served(folder) as address, opened(chrome, address, "true") as (page, told):
+            yield page
+            assert not told
+
+
+def played(game, variant, number, actions):
+    """The states and rewards of a numbered level in Python, until it ends."""
+    env = GameVectorEnv(game, variant, 1, observation="symbolic", autoreset_mode="Disabled")
+    env.reset(seed=0, options={"level": number})
+    states, rewards = [snapshot(game, env.get_state().view(np.recarray)[0])], []
+    for action in actions:
+        if states[-1]["ended"]:
+            break
+        rewards.append(float(env.step(np.array([action]))[1][0]))
+        states.append(snapshot(game, env.get_state().view(np.recarray)[0]))
+    return states, rewards
+
+
+@pytest.mark.parametrize("variant", ["walks", "jumps", "either"])
+def test_a_numbered_level_of_a_guest_goes_on_as_in_python(moors, variant):
+    ask = f"async (m) => {{ const told = await lab.engine.ask(m); return {WHOLE}; }}"
+    random = np.random.default_rng(1)
+    for number in range(12):
+        actions = random.integers(5, size=40).tolist()
+        states, rewards = played(moor.GAME, moor.GAME.variant(variant), number, actions)
+        asked = MOOR | {"kind": "play", "variant": variant, "level": number}
+        told = json.loads(moors.evaluate(ask, asked | {"actions": actions[: len(rewards)]}))
+        assert told["states"] == states and told["rewards"] == rewards, number
+
+
+def test_the_state_of_a_numbered_level_is_that_of_python_field_by_field(page, moors):
+    """Also the random numbers to come, of which CoinRun's steps take some.
+
+    Looks of its cells, `detail`, are drawn from the level.
+    """
+    ask = f"""async (m) => {{
+      const {{ s: {{ scene, ...told }} }} = await lab.engine.world(m);
+      return {WHOLE};
+    }}"""
+    for window in (page, moors):
+        for name, about in window.evaluate("lab.about.games").items():
+            game = moor.GAME if name == "moor" else games.find(name)
+            fields = sorted({*game.state.names} - {"detail", "gap", "seed", "turn"})
+            for variant in about["variants"]:
+                for s in initial_states(game, game.variant(variant), range(8)):
+                    asked = {"game": name, "variant": variant, "level": int(s.level), "agent": ""}
+                    told = json.loads(window.evaluate(ask, asked))
+                    there = {field: s[field].tolist() for field in fields}
+                    assert {field: told[field] for field in fields} == there, (name, variant)
 
 
 def test_a_world_of_cells_is_edited_and_played_without_python(page):

@@ -5,6 +5,7 @@ posteriors over goals. Networks for images become tables, computed here: in some
 place of goal and agent, the policy and the value, one byte each.
 """
 
+import base64
 import contextlib
 import json
 import re
@@ -21,15 +22,20 @@ from astray.analysis.trained import Agent
 from astray.files import check_empty, folder_aside, write_aside
 from astray.game import Game, Variant
 from astray.insight.fields import states_at
+from astray.kernel.jit import passing
+from astray.kernel.rng import RNG_FIELDS, draw_u32, seed_twister
 from astray.lab import rules
 from astray.lab.agents import places, sees
 from astray.lab.server import files
 from astray.lab.session import FORMAT, Lab, about_game, drawings
 from astray.lab.worlds import is_played
 from astray.level import Level
+from astray.record import record_dtype
 from astray.training.config import Config
 from astray.validation import MOST, bounded, of_kind, path_of
 
+DRAWS = 100_000  # from the twister of a level's number, at most, until the level begins
+OF_NO_LEVEL = ("level", "seed", "turn", "gap")  # fields that are not of a level
 TABLE = 2**20  # bytes of an agent's table, at most
 COMPUTED = "mlp"  # the network that the page computes
 CERTAIN = 255  # a byte that is a probability of 1
@@ -170,12 +176,43 @@ def _variants(lab: Lab, game: Game, about: Mapping[str, Any], named: str | None)
 
 
 def _levels(game: Game, variant: Variant, count: int) -> list[dict[str, Any]]:
-    """Return the levels of a variant as drawings with their looks."""
+    """Return the levels of a variant as drawings with their looks and `_undecided` fields."""
     found = []
     for s in initial_states(game, variant, range(count)):
         level = Level.of(game, variant, s)
-        found.append({"number": int(s.level), "text": str(level), "looks": dict(level.looks)})
+        told = {"number": int(s.level), "text": str(level), "looks": dict(level.looks)}
+        found.append(told | _undecided(s, level.state(solvable=False)))
     return found
+
+
+def _undecided(s: Any, built: Any) -> dict[str, Any]:
+    """Return what a numbered level's state has otherwise than the state built of its cells.
+
+    A field is NumPy's code of its type, and bytes. A twister that began with the level's number is
+    the number of its draws.
+    """
+    differ = [n for n in s.dtype.names if s[n].tobytes() != built[n].tobytes()]
+    fields = {n: s[n] for n in differ if n not in OF_NO_LEVEL}
+    told: dict[str, Any] = {}
+    if fields.keys() & {"mt", "mt_next"}:
+        (twister,) = np.zeros(1, record_dtype(RNG_FIELDS)).view(np.recarray)
+        if (draws := _draws(twister, s.level, s.mt, s.mt_next)) < DRAWS:
+            told["draws"] = draws
+            fields = {n: value for n, value in fields.items() if n not in ("mt", "mt_next")}
+    code = {n: s.dtype[n].base.str[1:] for n in fields}
+    packed = {n: [code[n], base64.b64encode(x.tobytes()).decode()] for n, x in fields.items()}
+    return told | ({"fields": packed} if packed else {})
+
+
+@passing
+def _draws(twister, level, words, at):
+    """Draw from the twister of a level's number until it is that of `words`; return how often."""
+    seed_twister(twister, level)
+    for draws in range(DRAWS):
+        if twister.mt_next == at and (twister.mt == words).all():
+            return draws
+        draw_u32(twister)
+    return DRAWS
 
 
 def _write_own_levels(

@@ -31,15 +31,16 @@ from astray.variant import knobs
 SHARED = "rules/kernels.js"  # from the page
 INT, CELLS, PLANES = types.int64, types.int64[:, ::1], types.uint8[:, :, ::1]
 S, P = "a state", "a variant's knobs"  # of a game, in the place of their types
-THINGS: dict[Any, Any] = {margin: (S,), rng.seed_twister: (S, INT), rng.draw_u32: (S,)}
 # Kernels of games that are no grid worlds, which `page/rules` calls, and the types of arguments.
 CALLED: Mapping[str, Mapping[Callable, tuple[Any, ...]]] = {
     "coinrun": {coinrun.clear: (S,), coinrun.add_walker: (S, INT, INT, types.boolean, INT)},
-    "heist": {heist.furnish: (S, P), heist.put: (S, INT, INT, INT), hand_in: (CELLS, INT, INT, INT)}
-    | THINGS,
-    "keys": {keys.furnish: (S, P), keys.put: (S, INT, INT, INT), **THINGS},
+    "heist": {
+        heist.furnish: (S, P), heist.put: (S, INT, INT, INT), hand_in: (CELLS, INT, INT, INT),
+        margin: (S,),
+    },
+    "keys": {keys.furnish: (S, P), keys.put: (S, INT, INT, INT), margin: (S,)},
     "maze": {maze.furnish: (S, P), maze.note_arrivals: (S,), margin: (S,)},
-}
+}  # fmt: skip
 
 
 def entry(game: Game) -> str:
@@ -63,10 +64,10 @@ def module(game: Game) -> str:
     symbols = game.symbols
 
     called: dict[str, tuple[Callable, tuple[Any, ...]]] = {
-        "step": (game.rules.step, (S, INT)),
+        "step": (game.rules.step, (S, INT)), "wind": (wind, (S, INT, INT)),
         "background_planes": (symbols.background_planes, (S, PLANES)),
         "foreground_planes": (symbols.foreground_planes, (S, PLANES, PLANES)),
-    }
+    }  # fmt: skip
     if world:
         called |= {"furnish": (world.furnish, (S, P)), "settle": (settle, (S,))}
         called |= {f"target {goal}": (one, (S,)) for goal, one in world.targets.items()}
@@ -107,6 +108,13 @@ def shared() -> bytes:
         "export const { mix_two, fraction } = made;",
         "export const distances = stepsOf(made.steps);",
     ).encode()  # fmt: skip
+
+
+def wind(s: Any, number: int, draws: int) -> None:
+    """Set the twister of `s` to that of a number after some draws."""
+    rng.seed_twister(s, number)
+    for _ in range(draws):
+        rng.draw_u32(s)
 
 
 def steps(is_open: Any, x: int, y: int, found: Any) -> None:

@@ -76,13 +76,12 @@ export class LocalEngine {
     if (!about) throw new Error(`the game '${game}' needs Python: astray lab`);
     const { rules } = await import(`../${about.rules}`);
     if (!about.knobs[variant]) throw new Error(`unknown variant '${variant}' of ${game}`);
-    let [given, number] = [null, null];
+    let [given, kept] = [null, null];
     if (typeof level === "number") {
       const own = this.about.agents[agent]?.levels?.[variant]; // of an agent with knobs of its own
       const { levels } = await this.file(own ?? `data/levels/${game}/${variant}.json`);
-      const kept = levels.find((one) => one.number === level);
+      kept = levels.find((one) => one.number === level);
       if (!kept) throw new Error(`This page has levels 0 to ${levels.length - 1} of it; others need Python: astray lab.`);
-      number = level;
       given = { ...read(kept.text, about.legend), looks: kept.looks };
     } else if (typeof level === "string") {
       given = { ...read(level, about.legend), looks: {} };
@@ -98,9 +97,10 @@ export class LocalEngine {
     }
     if (game === "coinrun") given = whole(given);
     const s = rules.build(given, kind);
-    s.level = number ?? NEVER;
+    s.level = NEVER;
+    if (kept) rules.number(s, kept);
     const looks = { ...given.looks };
-    return { level: { game, grid: given.grid, agent: rules.centre(s), looks }, s, number, rules, kind };
+    return { level: { game, grid: given.grid, agent: rules.centre(s), looks }, s, number: kept?.number ?? null, rules, kind };
   }
 
   async agentOf({ agent, game, mode = "sampled", seed = 0 }) {

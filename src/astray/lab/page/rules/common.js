@@ -4,6 +4,7 @@
 
 import { common } from "./constants.js";
 import { distances } from "./kernels.js";
+import { fieldOf } from "./memory.js";
 
 export const { NEVER, WALL } = common;
 const EMPTY = "."; // in every game's drawings
@@ -43,6 +44,12 @@ export function rulesOf(game, { build, contents, open, planes, reach }) {
       s.time_limit = p.time_limit;
       build(s, p, { grid, cell, looks });
       return s;
+    },
+    // Sets what cells and looks do not decide of a numbered level, as the file of levels has it.
+    number(s, { number, draws, fields = {} }) {
+      s.level = number;
+      if (draws !== undefined) game.wind(s, number, draws);
+      for (const [name, bytes] of Object.entries(fields)) s[name] = fieldOf(bytes, game.fields[name]);
     },
     // The first object that the agent cannot get to, in a sentence; null where there is none.
     problem(s) {

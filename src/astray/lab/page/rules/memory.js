@@ -22,11 +22,12 @@ const KINDS = {
   u1: kind(Uint8Array), u2: kind(Uint16Array), u4: kind(Uint32Array), u8: kind(BigUint64Array, whole, exact),
 };
 const product = (axes) => axes.reduce((a, b) => a * b, 1);
+const bytesIn = (text) => Uint8Array.from(atob(text), (char) => char.charCodeAt(0)); // of base64
 const bytesOf = (array) => new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
 
 // Functions of the names in `about`, which says what they take and return; text: base64.
 export async function kernels(text, about) {
-  const bytes = Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
+  const bytes = bytesIn(text);
   const memory = new WebAssembly.Memory({ initial: 1 + (2 * STACK) / PAGE });
   const top = memory.buffer.byteLength - PAGE; // of the stack, which grows towards what is constant
   const stack = new WebAssembly.Global({ value: "i32", mutable: true }, top);
@@ -165,6 +166,9 @@ function unpacked(buffer, at, code, shape) {
   }
   return rows;
 }
+
+// A field of a state in a file: NumPy's code of its type, and its bytes.
+export const fieldOf = ([code, text], shape) => unpacked(bytesIn(text).buffer, 0, code, shape);
 
 // `kernel` writes the steps to a cell into an array; returned as nested arrays.
 export const stepsOf = (kernel) => (open, x, y) => {

@@ -19,8 +19,7 @@ export function begin(game, s, p, { grid, cell, looks }) {
   s.background = looks.background ?? Math.max(p.background, 0);
   s.background_offset = looks.background_offset ?? 0;
   [s.twister, s.twister_at] = looks.twister ?? [NEVER, 0];
-  game.seed_twister(s, Math.max(s.twister, 0));
-  for (let k = 0; k < s.twister_at; k++) game.draw_u32(s);
+  game.wind(s, Math.max(s.twister, 0), s.twister_at);
   for (const [x, y] of objects) game.put(s, grid[y][x], x, y);
   if (looks.details) { // where things are in their cells
     const beside = new Map(looks.details.map(([x, y, ...where]) => [`${x},${y}`, where]));
