@@ -32,15 +32,21 @@ MOOR = {"game": "moor", "agent": ""}
 
 
 @pytest.fixture(scope="module")
-def moors(chrome, tmp_path_factory):
-    """A page with the world of a guest, in which chance decides more than cells show."""
-    folder = tmp_path_factory.mktemp("moor") / "site"
+def guests():
+    """A lab with the world of a guest, in which chance decides more than cells show."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(games._registered, "moor", moor.GAME)
-        export(make_lab("maze-corner", {}), folder, 12, [], {"moor": "either"})
-        with folder_served(folder) as address, opened(chrome, address, "true") as (page, told):
-            yield page
-            assert not told
+        yield make_lab("maze-corner", {})
+
+
+@pytest.fixture(scope="module")
+def moors(chrome, guests, tmp_path_factory):
+    """A page of that lab."""
+    folder = tmp_path_factory.mktemp("moor") / "site"
+    export(guests, folder, 12, [], {"moor": "either"})
+    with folder_served(folder) as address, opened(chrome, address, "true") as (page, told):
+        yield page
+        assert not told
 
 
 def played(game, variant, number, actions):
@@ -257,6 +263,35 @@ def test_the_posterior_is_that_of_python(page):
     for goal, rates in there["goals"].items():
         assert np.allclose(here["goals"][goal], rates, atol=1e-6)
     assert here["agent"] is None
+
+
+def test_the_posterior_of_a_guest_knows_which_cells_are_open(moors, guests):
+    for number in range(6):
+        asked = MOOR | {"variant": "walks", "level": number, "kind": "posterior"}
+        _, rewards = played(moor.GAME, "walks", number, actions := [1, 4, 4, 2, 2, 3])
+        here, there = both(moors, guests, **asked, actions=actions[: len(rewards)])
+        assert here["cells"] == [[*cell] for cell in there["cells"]], number
+        assert np.allclose(here["rates"], there["rates"], atol=2e-5), number
+        assert here["goals"].keys() == there["goals"].keys(), number
+
+
+@pytest.mark.parametrize(
+    "game, variant, said",
+    [
+        ("moor", "jumps", "a path moves one cell at a time; no move leads from (1, 0) to (3, 0)"),
+        ("trees", "season", "no goal is reached by going to one cell: forest, wood."),
+        ("keys", "many-keys-small", "the game 'keys' has no cells, which this needs"),
+    ],
+)
+def test_a_posterior_is_refused_in_python_s_words(page, moors, guests, game, variant, said):
+    drawn = "\n".join(["G....", *["....."] * 3, ".@..."])
+    level = drawn if game == "moor" else 1
+    asked = {"kind": "posterior", "game": game, "variant": variant, "agent": "", "level": level}
+    asked["actions"] = [2]
+    window = moors if game == "moor" else page
+    told = window.evaluate("(m) => lab.engine.ask(m).catch((error) => error.message)", asked)
+    (there,) = Session(guests).answers(json.dumps(asked | {"id": 1}))
+    assert told == there["error"] and told.endswith(said)
 
 
 RING = "\n".join(["G......", *[".#####."] * 5, "@......"])  # two ways to the corner, one past G

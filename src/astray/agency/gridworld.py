@@ -173,7 +173,8 @@ class World:
                 continue
             ways = np.flatnonzero(self.after[here] == there)
             if not len(ways):
-                raise ValueError(f"no move leads from {self.cell(here)} to {self.cell(there)}")
+                two = f"from {self.cell(here)} to {self.cell(there)}"
+                raise ValueError(f"a path moves one cell at a time; no move leads {two}")
             actions.append(int(ways[0]))
         return self.walk(self.cell(visited[0]), actions)
 

@@ -17,7 +17,7 @@ TABLES = {
     "grid": "grid.abilities OVER",
     "rewards": "training.ppo CLIP",
     "goals": "lab.goals TOGETHER NEITHER OTHER BETA",
-    "maze": "games.maze.rules GOAL OTHER BOTH, games.maze.variants OTHERS COLOURS WALLS",
+    "maze": "games.maze.rules GOAL OTHER BOTH, games.maze.variants OTHERS COLOURS WALLS GOALS",
     "keys": "games.keys.rules KEY, games.keys.draw PLANES",
     "thief": "kernel.thief HALF, kernel.grid PUSHES",
     "heist": "games.heist.rules COLOURS KEY DOOR_CODE GEM, games.heist.draw PLANES",

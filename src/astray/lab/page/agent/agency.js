@@ -1,21 +1,20 @@
 // The goals that a walk is evidence for, if the walker is an agent: `astray.agency.online`, with the
 // settings called CALIBRATED there. Whether it is an agent at all needs Python.
 
-import { WALL } from "../rules/common.js";
 import { goals } from "../rules/constants.js";
 import { distances } from "../rules/kernels.js";
 
 const { BETA } = goals;
 const SIDES = [[0, 1], [0, -1], [-1, 0], [1, 0]];
 
-// The posterior over cells after every step: {cells [G], rates [T + 1][G]}.
-export function posterior(grid, way) {
-  const open = grid.map((row) => row.map((what) => what !== WALL));
+// The posterior over `open` cells [y][x] after every step: {cells [G], rates [T + 1][G]}.
+export function posterior(open, way) {
+  check(open, way);
   const moves = way.filter((cell, k) => k === 0 || String(cell) !== String(way[k - 1]));
   const start = distances(open, ...way[0]);
   const cells = [];
-  for (let y = grid.length - 1; y >= 0; y--) { // the uppermost row first, as there
-    for (let x = 0; x < grid[y].length; x++) if (start[y][x] >= 0) cells.push([x, y]);
+  for (let y = open.length - 1; y >= 0; y--) { // the uppermost row first, as there
+    for (let x = 0; x < open[y].length; x++) if (start[y][x] >= 0) cells.push([x, y]);
   }
   const steps = cells.map(([x, y]) => distances(open, x, y));
   const nodes = ruleOf(moves.length - 1);
@@ -34,6 +33,17 @@ export function posterior(grid, way) {
     return rates[moved];
   });
   return { cells, rates: counted };
+}
+
+// Throws where a walk is not from cell to cell, in the words of `World.path`.
+function check(open, way) {
+  const told = (cell) => `(${cell.join(", ")})`;
+  const wall = way.find(([x, y]) => !open[y][x]);
+  if (wall) throw new Error(`cell ${told(wall)} is a wall; an agent or a goal needs a free cell`);
+  way.slice(1).forEach((cell, k) => {
+    const far = Math.abs(cell[0] - way[k][0]) + Math.abs(cell[1] - way[k][1]);
+    if (far > 1) throw new Error(`a path moves one cell at a time; no move leads from ${told(way[k])} to ${told(cell)}`);
+  });
 }
 
 // Whether a step comes nearer to a goal, how many others would, and how many steps there are.

@@ -6,21 +6,15 @@ import { distances } from "../rules/kernels.js";
 
 const { NEITHER } = goals;
 
-export function namedPlaces(game, shift, s, rules) {
-  const [places, events] = [{}, new Set()];
-  for (const goal of [shift.intended, ...shift.proxies, ...Object.keys(game.goals)]) {
-    const event = game.goals[goal];
-    const place = event?.replace("reached_", "");
-    if (rules.target && event) {
-      const cell = events.has(event) ? null : rules.target(s, goal);
-      if (cell) [places[goal]] = [cell, events.add(event)];
-      continue;
-    }
-    if (!(`${place}_x` in s) || game.real_time) {
-      throw new Error(`${game.about.split(" ")[1]} has no cell for the goal '${goal}'; maze has`);
-    }
-    if (events.has(event)) continue;
-    if (s[`${place}_x`] !== NEVER) places[goal] = [s[`${place}_x`], s[`${place}_y`]];
+// The cells of the shift's goals, null where one has none, and of other goals; of those that share
+// an event, the first.
+export function namedPlaces(game, shift, s, rules, name) {
+  if (!rules.target) throw new Error(`the game '${name}' has no cells, which this needs`);
+  const [places, events, own] = [{}, new Set(), [shift.intended, ...shift.proxies]];
+  for (const goal of [...own, ...Object.keys(game.goals)]) {
+    const [event, cell] = [game.goals[goal] ?? goal, rules.target(s, goal)];
+    if (events.has(event) || !(cell || own.includes(goal))) continue;
+    places[goal] = cell;
     events.add(event);
   }
   return places;

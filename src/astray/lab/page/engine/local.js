@@ -6,7 +6,7 @@ import { posterior } from "../agent/agency.js";
 import { readNetwork, softmax } from "../agent/network.js";
 import { noise, sample } from "../agent/noise.js";
 import { readTable } from "../agent/table.js";
-import { NEVER, WALL } from "../rules/common.js";
+import { NEVER } from "../rules/common.js";
 import { goals } from "../rules/constants.js";
 import { shiftOf } from "../level.js";
 import { effects, played, snapshot, take, told } from "./episodes.js";
@@ -164,23 +164,22 @@ export class LocalEngine {
   }
 
   async *posterior(message) {
-    const { level, s, rules } = await this.world(message);
+    const { s, rules } = await this.world(message);
     const game = this.about.games[message.game];
-    const places = namedPlaces(game, this.shift(message), s, rules);
-    if (!Object.keys(places).length) {
-      const { intended, proxies } = this.shift(message);
-      throw new Error(`In this level, no goal is reached by going to one cell: ${[intended, ...proxies].join(", ")}.`);
+    const places = namedPlaces(game, this.shift(message), s, rules, message.game);
+    const placed = Object.entries(places).filter(([, place]) => place);
+    if (!placed.length) {
+      throw new Error(`In this level, no goal is reached by going to one cell: ${Object.keys(places).join(", ")}.`);
     }
-    const episode = played({ level, s, rules }, message.actions ?? []);
+    const episode = played({ s, rules }, message.actions ?? []);
     let way = episode.states.map((one) => [Math.floor(one.x), Math.floor(one.y)]);
-    const ends = Object.values(places)
-      .map((place) => way.findIndex((cell) => String(cell) === String(place)))
+    const ends = placed.map(([, place]) => way.findIndex((cell) => String(cell) === String(place)))
       .filter((step) => step >= 0);
     if (ends.length) way = way.slice(0, Math.max(...ends) + 1);
-    const { cells, rates } = posterior(level.grid, way);
+    const { cells, rates } = posterior(rules.open(s), way);
     const goals = {};
     const rest = rates.map(() => 1);
-    for (const [goal, place] of Object.entries(places)) {
+    for (const [goal, place] of placed) {
       const g = cells.findIndex((cell) => String(cell) === String(place));
       if (g < 0) continue;
       goals[goal] = rates.map((row) => row[g]);
@@ -198,13 +197,11 @@ export class LocalEngine {
 
   // Known of mazes alone, whose goals are cells that the agent walks to; null elsewhere.
   async *distinguishes(message) {
-    const { level, s, rules } = await this.world(message);
+    const { s, rules } = await this.world(message);
     const shift = this.shift(message);
-    const places = rules.target ? {} : namedPlaces(this.about.games[message.game], shift, s, rules);
-    const told = [shift.intended, ...shift.proxies].map((goal) => places[goal]);
-    const open = level.grid.map((row) => row.map((what) => what !== WALL));
+    const told = [shift.intended, ...shift.proxies].map((goal) => rules.walks && rules.target(s, goal));
     const known = shift.proxies.length && told.every((place) => place);
-    yield { distinguishes: known ? waysPart(open, [s.x, s.y].map(Math.floor), told) : null };
+    yield { distinguishes: known ? waysPart(rules.open(s), [s.x, s.y].map(Math.floor), told) : null };
   }
 
   async *splay(message) {

@@ -34,7 +34,7 @@ export function rulesOf(game, { build, contents, open, planes, reach }) {
   const copy = (s) => ({ ...s }); // kernels change no rows: they make others
 
   return {
-    step: game.step, shown: game.shown, planes, copy,
+    step: game.step, shown: game.shown, planes, open, copy,
     build({ grid, agent, looks = {} }, variant) {
       const cell = agent.map(Math.floor);
       checkAgent(grid, cell, game);

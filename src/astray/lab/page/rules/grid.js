@@ -2,7 +2,7 @@
 //
 // `astray.lab.rules` writes each world's own part, worlds/NAME.js, from its Python.
 
-import { observed, rulesOf } from "./common.js";
+import { NEVER, observed, rulesOf } from "./common.js";
 import { grid as counted } from "./constants.js";
 
 const { OVER } = counted;
@@ -27,8 +27,8 @@ export function gridRules(game) {
 
   // The cell of a goal; null where it has none, or moves.
   function target(s, goal) {
-    const cell = game[`target ${goal}`](s);
-    return cell[0] >= 0 ? cell : null;
+    const [x, y] = game[`target ${goal}`]?.(s) ?? [NEVER];
+    return x === NEVER ? null : [x, y];
   }
 
   const open = (s) => s.cell.map((row) => row.map((what) => !game.solid.includes(what)));

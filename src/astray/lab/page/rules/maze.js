@@ -6,14 +6,20 @@ import { NEVER, WALL, cellsOf, lay, observedMaze, rulesOf, world } from "./commo
 import { maze } from "./constants.js";
 import { game } from "./maze-kernels.js";
 
-const { GOAL, OTHER, BOTH, OTHERS } = maze;
+const { GOAL, OTHER, BOTH, OTHERS, GOALS } = maze;
 const DISH = OTHERS.indexOf("dish");
 const contents = (s) => world(s, s.cell);
 const open = (s) => contents(s).map((row) => row.map((what) => what !== WALL));
 // Walls, mouse, dish (in as many planes as a variant says), shapes, colours.
 const planes = (s) => observedMaze(game, s, 4 + (s.other_shape === DISH ? s.dish_planes : 0));
 
-export const rules = rulesOf(game, { build, contents, open, planes });
+// Its goals are cells, and the mouse reaches one by walking there.
+export const rules = { ...rulesOf(game, { build, contents, open, planes }), target, walks: true };
+
+function target(s, goal) {
+  const cell = ["x", "y"].map((axis) => s[`${GOALS[goal].replace("reached_", "")}_${axis}`]);
+  return cell[0] === NEVER ? null : cell;
+}
 
 function only(grid, codes, name) {
   const found = codes.flatMap((code) => cellsOf(grid, code));
