@@ -242,6 +242,29 @@ def test_a_splay_is_that_of_python(page):
     )
 
 
+@pytest.mark.parametrize(
+    "agent, variant, thing",
+    [("pottery-corner", "anywhere", "shards"), ("many-chests", "many-keys-small", "key")],
+)
+def test_an_agent_that_stands_on_an_object_is_asked_everywhere_as_in_python(
+    page, agent, variant, thing
+):
+    lab = make_lab("maze-corner", {})
+    game = lab.agents.open(agent)[0].game
+    (s,) = initial_states(game, variant, [2])
+    level = Level.of(games.find(game), games.find(game).variant(variant), s)
+    on = replace(level, agent=(at := level.where(thing)[0]))
+    asked = {"game": game, "variant": variant, "agent": agent, "level": on.to_json()}
+    here, there = both(page, lab, kind="fields", **asked, effects=True)
+    assert here["cells"] == there["cells"] and here["same"] == there["same"]
+    assert [*at] in here["cells"] and np.allclose(here["policy"], there["policy"], atol=1e-5)
+    for moved in ("agent", thing):
+        here, there = both(page, lab, kind="splay", **asked, thing=moved, cell=[*at])
+        ends = zip(map(tuple, there["cells"]), there["outcomes"], strict=True)
+        assert dict(zip(map(tuple, here["cells"]), here["outcomes"], strict=True)) == dict(ends)
+        assert (at in map(tuple, here["cells"])) == (moved == "agent")
+
+
 def test_a_page_has_the_constants_that_python_has_now(chrome, untrained, tmp_path, monkeypatch):
     monkeypatch.setattr(goals, "TOGETHER", 5)
     architecture = Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15, width=8)

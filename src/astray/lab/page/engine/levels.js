@@ -83,8 +83,8 @@ export function splayed({ level, kind, rules }, thing, at, about) {
   }
   const state = rules.build({ grid: lifted, agent, looks: carried(looks, where) }, kind);
   const here = agent.map(Math.floor);
-  return rules.places(state).filter((cell) => String(cell) !== String(here) || thing === "agent")
-    .filter(([x, y]) => lifted[y][x] === 0)
+  return rules.places(state)
+    .filter((cell) => (String(cell) === String(here) ? thing === "agent" : lifted[cell[1]][cell[0]] === 0))
     .sort((one, two) => one[1] - two[1] || one[0] - two[0])
     .map((cell) => {
       const cells = lifted.map((row) => [...row]);
