@@ -1,6 +1,7 @@
 """The page without Python does what Python does: rules, networks, draws, posteriors, tables."""
 
 import base64
+import itertools
 import json
 from dataclasses import replace
 
@@ -414,23 +415,24 @@ def test_advantages_are_in_the_rewards_that_values_are_of(page):
 def test_an_agent_with_knobs_has_levels_of_its_own(chrome, untrained, tmp_path):
     architecture = Architecture("mlp", (4, 5, 5), (1, 1, 6, 6), 15, width=8)
     untrained(tmp_path / "run", architecture, knobs={"world": 5, "largest": 5}, width=8)
-    lab = make_lab(tmp_path / "run", {})
-    config = lab.agents.open(str(tmp_path / "run"))[1]
-    export(lab, tmp_path / "site", levels=3, agents=[str(tmp_path / "run")])
-    variant = config.variant_for("anywhere-small")
+    lab = Lab(Agents.of({"mouse": tmp_path / "run"}), MAZE | {"level": 1})
+    own = lab.agents.about("mouse")["knobs"]["anywhere-small"]
+    export(lab, tmp_path / "site", levels=3, agents=["maze-corner", "mouse"])
     with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
-        wait(page, "lab.ready")
-        agent = page.evaluate("lab.part('agent').value")
-        for number in range(3):
-            level = page.evaluate(
-                """([agent, variant, level]) => lab.engine.ask({kind: "level", game: "maze",
-                  variant, level, agent, knobs: lab.about.agents[agent].knobs[variant]})
-                """,
-                [agent, "anywhere-small", number],
-            )
-            game = config.find_game()
-            (s,) = initial_states(game, variant, [number])
-            assert level["text"] == str(Level.of(game, variant, s))
+        several = itertools.product(("maze-corner", "mouse"), ({}, own), range(3))
+        for agent, knobs, number in several:
+            asked = MAZE | {"agent": agent, "knobs": knobs, "level": number}
+            here, there = both(page, lab, kind="level", **asked)
+            assert here["text"] == there["text"] and here["state"] == there["state"]
+            assert here["text"].count("\n") == (4 if knobs else 6)
+        for agent, knobs in (("mouse", own), ("maze-corner", {})):
+            _, there = both(page, lab, kind="level", **MAZE | {"knobs": knobs}, level=1)
+            page.locator("[data-lab=agent]").select_option(agent)
+            wait(page, f"lab.agent === {agent!r} && lab.text === {there['text']!r}")
+            wait(page, "lab.fields.size && lab.part('problem').hidden")
+        asked = MAZE | {"kind": "level", "knobs": {"world": 9}, "level": 1}
+        said = page.evaluate("(m) => lab.engine.ask(m).catch((error) => error.message)", asked)
+        assert said.startswith("This page has no numbered levels of anywhere-small with world = 9;")
         assert not told
 
 

@@ -88,10 +88,14 @@ export class Lab {
     return this.about.games[this.game];
   }
 
+  // The knobs that the agent was trained with, and that the variant has otherwise.
+  get knobs() {
+    return this.about.agents[this.agent]?.knobs[this.variant] ?? {};
+  }
+
   // Fields of every question about the level.
   question(kind, more = {}) {
-    const { game, variant, agent } = this;
-    const knobs = this.about.agents[agent]?.knobs[variant] ?? {};
+    const { game, variant, agent, knobs } = this;
     const level = this.number === null ? plain(this.level) : this.number;
     const steering = this.part("steered").checked ? this.steering : {};
     const { mode, seed } = this;

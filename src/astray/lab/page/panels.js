@@ -5,7 +5,7 @@ import { goalColours, heat, signed, words } from "./draw/colours.js";
 import { meanWay, rateOfWays } from "./draw/arrows.js";
 import { drawSight } from "./draw/sight.js";
 import { save } from "./files.js";
-import { shiftOf } from "./level.js";
+import { plain, shiftOf } from "./level.js";
 import { bar, capital, fillTable, keyed, made, named, options, percent, round } from "./parts.js";
 import { levels } from "./rules/constants.js";
 import { showTimeline } from "./timeline.js";
@@ -143,7 +143,7 @@ export class Panels {
 
   #tools() {
     const { lab } = this;
-    const knobs = { ...lab.rules.knobs[lab.variant], ...lab.about.agents[lab.agent]?.knobs[lab.variant] };
+    const knobs = { ...lab.rules.knobs[lab.variant], ...lab.knobs };
     const objects = Object.keys(lab.rules.objects).filter((name) => lab.look.has?.(name, knobs) ?? true);
     const tools = [["hand", "Move"], ["wall", "Wall"], ...objects.slice(0, 4)
       .map((name) => [name, capital(named(lab, name))])];
@@ -168,6 +168,7 @@ export class Panels {
   async #agent(value) {
     const { lab } = this;
     const before = lab.game;
+    const knobs = JSON.stringify(lab.knobs);
     const [none, game] = value.split(" ");
     if (none === "none" && game) Object.assign(lab, { agent: "", game });
     else Object.assign(lab, { agent: value, game: lab.about.agents[value].game });
@@ -176,8 +177,9 @@ export class Panels {
     if (!same) lab.variant = lab.about.agents[lab.agent]?.test ?? fits[0];
     this.part("compare").value = "";
     this.choices();
-    if (same) await lab.refresh();
-    else await lab.open(0);
+    if (!same) await lab.open(0);
+    else if (JSON.stringify(lab.knobs) === knobs) await lab.refresh();
+    else await lab.open(lab.number ?? plain(lab.level), ""); // under other knobs it is another level
   }
 
   async #variant(variant) {

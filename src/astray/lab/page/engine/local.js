@@ -71,15 +71,14 @@ export class LocalEngine {
   }
 
   // The level of a message and the state that it begins in.
-  async world({ game, variant, level, agent, knobs = {} }) {
+  async world({ game, variant, level, knobs = {} }) {
     const about = this.about.games[game];
     if (!about) throw new Error(`the game '${game}' needs Python: astray lab`);
     const { rules } = await import(`../${about.rules}`);
     if (!about.knobs[variant]) throw new Error(`unknown variant '${variant}' of ${game}`);
     let [given, kept] = [null, null];
     if (typeof level === "number") {
-      const own = this.about.agents[agent]?.levels?.[variant]; // of an agent with knobs of its own
-      const { levels } = await this.file(own ?? `data/levels/${game}/${variant}.json`);
+      const { levels } = await this.file(this.levelsOf(game, variant, knobs));
       kept = levels.find((one) => one.number === level);
       if (!kept) throw new Error(`This page has levels 0 to ${levels.length - 1} of it; others need Python: astray lab.`);
       given = { ...read(kept.text, about.legend), looks: kept.looks };
@@ -101,6 +100,16 @@ export class LocalEngine {
     if (kept) rules.number(s, kept);
     const looks = { ...given.looks };
     return { level: { game, grid: given.grid, agent: rules.centre(s), looks }, s, number: kept?.number ?? null, rules, kind };
+  }
+
+  // The file of the numbered levels of a variant under changed knobs, which are others: an agent's.
+  levelsOf(game, variant, knobs) {
+    const same = (own) => [own, knobs].every((one) => Object.keys(one).every((name) => own[name] === knobs[name]));
+    if (same({})) return `data/levels/${game}/${variant}.json`;
+    const found = Object.values(this.about.agents).find((one) => one.game === game && one.levels?.[variant] && same(one.knobs[variant]));
+    if (found) return found.levels[variant];
+    const told = Object.entries(knobs).map(([name, value]) => `${name} = ${value}`).join(", ");
+    throw new Error(`This page has no numbered levels of ${variant} with ${told}; others need Python: astray lab.`);
   }
 
   async agentOf({ agent, game, mode = "sampled", seed = 0 }) {
