@@ -392,6 +392,21 @@ def test_what_a_page_does_not_have_is_refused_by_its_name(asked, body):
         compiled(*asked(body))
 
 
+@pytest.mark.parametrize("flags", [True, {"reassoc"}])
+def test_arithmetic_that_differs_between_machines_is_refused_by_its_name(flags):
+    @numba.njit(fastmath=flags)
+    def roughly(x):
+        return x * 0.1 + 0.3
+
+    @numba.njit(fastmath=False)
+    def asks(s):
+        return roughly(s.f)
+
+    said = "ask0 must be compiled .*: roughly has fastmath, whose results differ between machines"
+    with pytest.raises(ValueError, match=said):
+        compiled(asks)
+
+
 @pytest.mark.parametrize("kind", ["c8", "U4", "M8[s]", [("q", int)]])
 def test_a_field_that_is_no_number_of_a_page_is_refused_by_its_name(asked, kind):
     state = numba.from_dtype(np.dtype([("z", kind), ("a", int)]))

@@ -152,6 +152,9 @@ class _Typing(Context):
         return found
 
     def _kernel(self, key: Any, function: Any, options: Mapping[str, Any]) -> types.Dispatcher:
+        if options.get("fastmath"):
+            said = "has fastmath, whose results differ between machines"
+            raise NotImplementedError(f"{function.__name__} {said}")
         if key not in self.kernels:
             self.kernels[key] = types.Dispatcher(made := _Dispatcher(function, options))
             self.kernels[made] = self.kernels[key]  # the type alone would not keep it
