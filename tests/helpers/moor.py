@@ -66,7 +66,7 @@ GAME = grid.world(
     sys.modules[__name__],
     "moor",
     "a mouse looks for cheese between bogs",
-    things={"#": "wall", "~": "lava", "S": "goal", "G": "cheese"},
+    things={"#": "wall", ";": "lava", " ": "goal", "G": "cheese"},
     solid=("wall", "goal"),
     agents=["mouse"],
     variants={
@@ -81,5 +81,5 @@ GAME = grid.world(
     goals={"cheese": "reached_cheese", "bog": "sank"},
     shifts={"jumps": Shift("walks", "jumps", "cheese", ("bog",))},
     seek={"cheese": grid.nearest(CHEESE), "bog": grid.nearest(BOG)},
-    stood="~",
+    stood=";",
 )

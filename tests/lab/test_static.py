@@ -318,6 +318,19 @@ def test_a_posterior_is_refused_in_python_s_words(page, moors, guests, game, var
     assert told == there["error"] and told.endswith(said)
 
 
+@pytest.mark.parametrize(
+    "drawing",
+    ["\n    .....\n    ;...G\n" + 3 * "    ..@..\n", "\ufeff....;\r\n;.@ G\r\n" + 3 * ".....\r\n",
+     "; a lake\n@.;..", "  .....\n ..@..", "..@..\n\n.....", "..@..\n..;.. ", "", "@\n@ on x",
+     "..@..\u2028;...;\n.....\n.....\n.....\n@ on ;", "....@\n   . \n   . \n   . \n.. .."],
+)  # fmt: skip
+def test_a_drawing_is_read_as_in_python(moors, guests, drawing):
+    asked = MOOR | {"kind": "level", "variant": "walks", "level": drawing}
+    ask = "(m) => lab.engine.ask(m).then(({ text }) => text).catch((error) => error.message)"
+    (there,) = Session(guests).answers(json.dumps(asked | {"id": 1}))
+    assert moors.evaluate(ask, asked) == there.get("text", there.get("error"))
+
+
 RING = "\n".join(["G......", *[".#####."] * 5, "@......"])  # two ways to the corner, one past G
 
 

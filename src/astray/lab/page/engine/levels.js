@@ -7,17 +7,26 @@ import { coinrun } from "../rules/constants.js";
 const { WORLD, WALL, TOP, PERMEABLE } = coinrun;
 const ON = "@ on "; // begins a line below a drawing, which says what the agent stands on
 
-// A drawing as cells, rows from the lowest up, in the words of `Level.from_text`.
-export function read(text, legend) {
-  const lines = text.replace(/\r/g, "").split("\n").filter((line) => !line.startsWith(";"));
-  const rows = lines.map((line) => line.trim()).filter(Boolean).reverse();
+// The rows of a drawing, the uppermost first, as `Level.from_text` finds them.
+export function rowsOf(drawing) {
+  const lines = drawing.replace(/^\ufeff/, "").split("\n").map((line) => (/[^ \t]/.test(line) ? line : ""));
+  const [margin = "", ...others] = lines.filter(Boolean).map((line) => line.match(/^[ \t]*/)[0]);
+  let common = margin.length;
+  while (!others.every((one) => one.startsWith(margin.slice(0, common)))) common -= 1;
+  const dedented = lines.map((line) => line.slice(common)).join("\n").replace(/^\n+/, "").trimEnd();
+  return dedented ? dedented.split(/\r\n|[\n\r\v\f\x1c-\x1e\x85\u2028\u2029]/) : [];
+}
+
+// Rows as cells, from the lowest up, in the words of `Level.from_text`.
+export function read(lines, legend) {
+  const rows = lines.toReversed();
   const beneath = rows[0]?.startsWith(ON) ? rows.shift().slice(ON.length) : ".";
-  if (!(beneath in legend)) {
-    throw new Error(`the agent is on '${beneath}'; there are: ${Object.keys(legend).join(" ")}`);
-  }
   const lengths = rows.map((row) => [...row].length);
   if (new Set(lengths).size !== 1) {
-    throw new Error(`a level's rows are equally long; these have [${lengths}]`);
+    throw new Error(`a level's rows are equally long; these have [${lengths.join(", ")}]`);
+  }
+  if (!(beneath in legend)) {
+    throw new Error(`the agent is on '${beneath}'; there are: ${Object.keys(legend).join(" ")}`);
   }
   const agents = [];
   const grid = rows.map((row, y) => [...row].map((char, x) => {
@@ -33,15 +42,16 @@ export function read(text, legend) {
   return { grid, agent: agents[0] };
 }
 
-export function textOf({ grid, agent }, legend) {
+// The rows of a level's drawing, the uppermost first.
+export function drawn({ grid, agent }, legend) {
   const chars = Object.fromEntries(Object.entries(legend).map(([char, code]) => [code, char]));
   const rows = grid.map((row) => row.map((code) => chars[code] ?? "\ufffd")); // which `read` refuses
   const [x, y] = agent.map(Math.floor);
   const beneath = rows[y]?.[x];
   if (!beneath) throw new Error(`the agent is at cell (${x}, ${y}), outside of the level`);
   rows[y][x] = "@";
-  const drawing = rows.map((row) => row.join("")).reverse().join("\n");
-  return beneath === "." ? drawing : `${drawing}\n${ON}${beneath}`;
+  const drawing = rows.map((row) => row.join("")).reverse();
+  return beneath === "." ? drawing : [...drawing, `${ON}${beneath}`];
 }
 
 // A smaller level of CoinRun in the lower left of the whole world, walls around it.

@@ -11,7 +11,7 @@ import { goals } from "../rules/constants.js";
 import { shiftOf } from "../level.js";
 import { effects, played, snapshot, take, told } from "./episodes.js";
 import { firstGoal, namedPlaces, waysPart } from "./goals.js";
-import { read, splayed, textOf, whole } from "./levels.js";
+import { drawn, read, rowsOf, splayed, whole } from "./levels.js";
 
 const AT_ONCE = 16; // places that are computed before the page may draw
 const { NEITHER, OTHER, TOGETHER } = goals;
@@ -65,7 +65,7 @@ export class LocalEngine {
   async *level(message) {
     const { level, s, number, rules } = await this.world(message);
     yield {
-      level, number, text: textOf(level, this.about.games[message.game].legend),
+      level, number, text: drawn(level, this.about.games[message.game].legend).join("\n"),
       problem: rules.problem(s), state: snapshot(s, rules),
     };
   }
@@ -81,11 +81,11 @@ export class LocalEngine {
       const { levels } = await this.file(this.levelsOf(game, variant, knobs));
       kept = levels.find((one) => one.number === level);
       if (!kept) throw new Error(`This page has levels 0 to ${levels.length - 1} of it; others need Python: astray lab.`);
-      given = { ...read(kept.text, about.legend), looks: kept.looks };
+      given = { ...read(kept.text.split("\n"), about.legend), looks: kept.looks };
     } else if (typeof level === "string") {
-      given = { ...read(level, about.legend), looks: {} };
+      given = { ...read(rowsOf(level), about.legend), looks: {} };
     } else {
-      given = { ...read(textOf(level, about.legend), about.legend), looks: level.looks };
+      given = { ...read(drawn(level, about.legend), about.legend), looks: level.looks };
     }
     const kind = { ...about.knobs[variant], ...knobs };
     if (kind.world && (given.grid.length !== kind.world || given.grid[0].length !== kind.world)) {
