@@ -399,6 +399,26 @@ def test_text_is_read_and_what_is_wrong_with_it_is_told(page):
     assert "unknown '?'" in page.locator("[data-lab=problem]").text_content()
 
 
+@pytest.mark.parametrize("way", ["served", "static"])
+def test_numbers_of_a_level_that_a_browser_rounds_are_refused(chrome, request, way):
+    said = "a level's whole numbers must be below 2 ** 53 here, as browsers round larger ones; got "
+    game = games.find("maze")
+    level = Level.from_text(game, game.variant("anywhere-small"), ROOM).to_json()
+    with opened(chrome, request.getfixturevalue(way)) as (page, told):
+        shown = page.evaluate("lab.text")
+        page.get_by_text("Take it along").click()
+        level["looks"]["walls"] = 2**53 + 1
+        page.locator("[data-lab=text]").fill(json.dumps(level))
+        page.get_by_role("button", name="Use this text").click()
+        wait(page, f"lab.part('problem').textContent === {said + str(2**53)!r}")
+        assert page.evaluate("lab.text") == shown
+        looks = f"{{ ...lab.level.looks, walls: -({2**60}) }}"  # as of a level that Python told
+        page.evaluate(f"lab.edit({{ ...lab.level, looks: {looks} }})")
+        wait(page, f"lab.broken && lab.part('problem').textContent.startsWith({said!r})")
+        show(page, ROOM)
+        assert page.locator("[data-lab=problem]").is_hidden() and not told
+
+
 @pytest.mark.parametrize("format", ["png", "gif", "json"])
 def test_what_is_taken_along_can_be_read(page, format, tmp_path):
     from PIL import Image

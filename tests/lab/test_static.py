@@ -331,6 +331,22 @@ def test_a_drawing_is_read_as_in_python(moors, guests, drawing):
     assert moors.evaluate(ask, asked) == there.get("text", there.get("error"))
 
 
+def test_a_numbered_level_with_looks_that_a_browser_rounds_is_refused(moors):
+    said = moors.evaluate(
+        """async (asked) => {
+          const path = "data/levels/moor/jumps.json";
+          const { levels: [one] } = await lab.engine.file(path);
+          const far = { levels: [{ ...one, looks: { far: 2 ** 60 } }] };
+          lab.engine.files.set(path, Promise.resolve(far));
+          const said = await lab.engine.ask(asked).catch((error) => error.message);
+          lab.engine.files.delete(path);
+          return said;
+        }""",
+        MOOR | {"kind": "level", "variant": "jumps", "level": 0},
+    )
+    assert "whole numbers must be below 2 ** 53 here" in said
+
+
 RING = "\n".join(["G......", *[".#####."] * 5, "@......"])  # two ways to the corner, one past G
 
 

@@ -4,7 +4,7 @@
 // an engine: a Python process, a notebook's kernel, or `engine/local.js`.
 
 import { Editor } from "./editor.js";
-import { plain } from "./level.js";
+import { exact, plain } from "./level.js";
 import { fromLink, toLink } from "./link.js";
 import { Panels } from "./panels.js";
 import { Stage } from "./stage.js";
@@ -96,7 +96,7 @@ export class Lab {
   // Fields of every question about the level.
   question(kind, more = {}) {
     const { game, variant, agent, knobs } = this;
-    const level = this.number === null ? plain(this.level) : this.number;
+    const level = more.level ?? this.number ?? plain(this.level);
     const steering = this.part("steered").checked ? this.steering : {};
     const { mode, seed } = this;
     return { kind, game, variant, knobs, level, agent, mode, seed, steering, ...more };
@@ -136,7 +136,7 @@ export class Lab {
     if (this.level?.game !== this.game) this.#clear();
     const told = await this.tried(async () => {
       await this.#art(this.game);
-      return this.opening === mine && this.engine.ask({ ...this.question("level"), level });
+      return this.opening === mine && this.engine.ask(this.question("level", { level: exact(level) }));
     });
     if (this.opening !== mine || told === null) return false; // a newer one was asked for
     if (!told) { // instead of a link's, another level of the same, and what is wrong

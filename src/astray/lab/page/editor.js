@@ -1,6 +1,6 @@
 // Changes to the level by pointer and keyboard, and playing by keys.
 
-import { carried, plain } from "./level.js";
+import { carried } from "./level.js";
 
 const KEYS = {
   ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
@@ -126,8 +126,8 @@ export class Editor {
   }
 
   #copy() {
-    const { grid, agent, looks } = plain(this.lab.level);
-    return { ...this.lab.level, grid: grid.map((row) => [...row]), agent: [...agent], looks };
+    const { grid, agent } = this.lab.level;
+    return { ...this.lab.level, grid: grid.map((row) => [...row]), agent: [...agent] };
   }
 
   #key(event) {

@@ -1,8 +1,18 @@
 // Levels as data.
 
 // The fields of a level that it is built from.
-export function plain({ grid, agent, looks }) {
+export function plain(level) {
+  const { grid, agent, looks } = exact(level);
   return { grid, agent, looks };
+}
+
+// A level, or a part of it; throws where JSON lost digits in this browser.
+export function exact(level) {
+  if (Number.isInteger(level) && !Number.isSafeInteger(level)) {
+    throw new Error(`a level's whole numbers must be below 2 ** 53 here, as browsers round larger ones; got ${level}`);
+  }
+  if (level && typeof level === "object") Object.values(level).forEach(exact);
+  return level;
 }
 
 // The shift of an agent, or else of a variant; undefined where the game has none for it.

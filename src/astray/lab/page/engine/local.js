@@ -8,7 +8,7 @@ import { noise, sample } from "../agent/noise.js";
 import { readTable } from "../agent/table.js";
 import { NEVER } from "../rules/common.js";
 import { goals } from "../rules/constants.js";
-import { shiftOf } from "../level.js";
+import { exact, shiftOf } from "../level.js";
 import { effects, played, snapshot, take, told } from "./episodes.js";
 import { firstGoal, namedPlaces, waysPart } from "./goals.js";
 import { drawn, read, rowsOf, splayed, whole } from "./levels.js";
@@ -81,7 +81,7 @@ export class LocalEngine {
       const { levels } = await this.file(this.levelsOf(game, variant, knobs));
       kept = levels.find((one) => one.number === level);
       if (!kept) throw new Error(`This page has levels 0 to ${levels.length - 1} of it; others need Python: astray lab.`);
-      given = { ...read(kept.text.split("\n"), about.legend), looks: kept.looks };
+      given = { ...read(kept.text.split("\n"), about.legend), looks: exact(kept.looks) };
     } else if (typeof level === "string") {
       given = { ...read(rowsOf(level), about.legend), looks: {} };
     } else {
