@@ -340,6 +340,33 @@ def test_a_link_holds_level_and_agent(chrome, page, served):
         assert other.evaluate("lab.agent") == "maze-corner" and not told
 
 
+def test_a_link_that_is_packed_late_takes_the_place_of_none_that_is_newer(chrome, static):
+    with opened(chrome, static) as (page, told):
+        page.evaluate("""() => {
+          const Usual = globalThis.CompressionStream;
+          globalThis.CompressionStream = class {
+            constructor(kind) {
+              const { readable, writable } = new Usual(kind);
+              const late = new TransformStream({
+                async transform(part, to) {
+                  if (!globalThis.pack) await new Promise((done) => { globalThis.pack = done; });
+                  to.enqueue(part);
+                },
+              });
+              Object.assign(this, { writable, readable: readable.pipeThrough(late) });
+            }
+          };
+        }""")
+        page.evaluate("(level) => { lab.open(level); }", ROOM)  # whose link is packed
+        wait(page, "globalThis.pack")
+        assert page.evaluate("lab.open(2)")  # whose link is its number
+        assert parse_qs(urlsplit(page.evaluate("location.href")).fragment)["level"] == ["2"]
+        page.evaluate("pack()")
+        page.wait_for_timeout(500)
+        assert parse_qs(urlsplit(page.evaluate("location.href")).fragment)["level"] == ["2"]
+        assert not told
+
+
 @pytest.mark.parametrize("way", ["served", "static"])
 def test_two_policies_are_compared_by_what_their_actions_do(chrome, request, way):
     with opened(chrome, request.getfixturevalue(way)) as (page, told):

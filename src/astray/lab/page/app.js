@@ -223,8 +223,9 @@ export class Lab {
     this.stage.redraw();
     this.panels.edited();
     if (this.links) {
+      const mine = (this.linking = Symbol("address"));
       const address = await toLink(this);
-      if (this.address === location.hash) { // else a newer link is to be followed
+      if (this.linking === mine && this.address === location.hash) { // else a newer link is to be followed
         if (address !== this.address) history.replaceState(null, "", address);
         this.address = address;
       }
