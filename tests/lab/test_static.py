@@ -362,6 +362,14 @@ def test_a_level_distinguishes_the_goals_where_it_does_in_python(page):
     assert asked(RING)[0] is None  # as Python's walk may take either
 
 
+def test_the_badge_of_a_level_is_shown_without_python(chrome, static):
+    with opened(chrome, static) as (page, told):
+        for number, said in ((0, "does not distinguish the goals"), (2, "distinguishes the goals")):
+            assert page.evaluate("(number) => lab.open(number)", number)
+            wait(page, f"!lab.part('badge').hidden && lab.part('badge').textContent === {said!r}")
+        assert not told
+
+
 def replayed(number):
     """What the agent does in a level."""
     parts = Session(make_lab("maze-corner", {})).answers(

@@ -239,7 +239,7 @@ export class Lab {
   async #distinguishes() {
     const mine = (this.telling = Symbol("level"));
     this.panels.distinguishes(null);
-    if (!this.panels.shift || this.rules.real_time || this.about.engine === "static") return;
+    if (!this.panels.shift || this.rules.real_time) return;
     const told = await this.engine.ask(this.question("distinguishes")).catch(() => null);
     if (told && this.telling === mine) this.panels.distinguishes(told.distinguishes);
   }
