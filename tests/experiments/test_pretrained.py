@@ -125,6 +125,17 @@ def test_an_agent_is_kept_without_its_training(run, mouse):
     assert curve["training/return"][-1] == pytest.approx(told)
 
 
+def test_a_curve_is_of_returns_where_no_episode_of_the_validation_has_ended(run, tmp_path):
+    """It was of rewards per step, which fall where levels grow."""
+    mine, lines = tmp_path / "run", checkpoint.metrics(run)
+    shutil.copytree(run, mine)
+    cut = [{n: x for n, x in line.items() if n != "validation/return"} for line in lines]
+    (mine / "metrics.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in cut))
+    keep.draw_curve(mine, CONFIG, SHORT.steps, tmp_path)
+    assert cut != lines
+    assert pl.read_csv(tmp_path / "curve.csv").columns == ["steps", "training/return"]
+
+
 def test_a_card_says_what_an_evaluation_finds(astray, mouse):
     said = json.loads(astray("evaluate", "mouse", "--levels", "100000:100040", "--json"))
     found = {

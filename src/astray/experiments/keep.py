@@ -86,11 +86,12 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     there = {"training/return": config.variant}
     if config.validation:
         there["validation/return"] = config.validation
-    per_step = not {*there} <= {*metrics.columns}  # no episode has ended
+    per_step = "training/return" not in metrics.columns  # no episode has ended
     if per_step:
         there = {name.replace("/return", "/reward_per_step"): of for name, of in there.items()}
-    if missing := [name for name in there if name not in metrics.columns]:
-        raise ValueError(f"the metrics of {run} have no {missing[0]} to draw")
+    if (first := next(iter(there))) not in metrics.columns:
+        raise ValueError(f"the metrics of {run} have no {first} to draw")
+    there = {name: of for name, of in there.items() if name in metrics.columns}
     data = metrics.filter(pl.col("steps") <= steps).select("steps", *there)
     every = -(-len(data) // POINTS)
     data = data.gather_every(every, (len(data) - 1) % every)  # with the last
