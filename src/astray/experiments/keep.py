@@ -78,26 +78,23 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     """Write `curve.csv`, metrics of the run up to `steps`, and their plot `curve.png`.
 
     Raises:
-        ValueError: If its metrics lack a column.
+        ValueError: If its metrics have no rewards.
     """
     from astray.report.learning import learning_curves  # here: matplotlib takes a second
 
     metrics = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)
-    there = {"training/return": config.variant}
-    if config.validation:
-        there["validation/return"] = config.validation
-    per_step = "training/return" not in metrics.columns  # no episode has ended
-    if per_step:
-        there = {name.replace("/return", "/reward_per_step"): of for name, of in there.items()}
-    if (first := next(iter(there))) not in metrics.columns:
-        raise ValueError(f"the metrics of {run} have no {first} to draw")
-    there = {name: of for name, of in there.items() if name in metrics.columns}
+    ended = "training/return" in metrics.columns  # an episode
+    kind = "return" if ended else "reward_per_step"
+    both = {f"training/{kind}": config.variant, f"validation/{kind}": config.validation}
+    there = {name: of for name, of in both.items() if of and name in metrics.columns}
+    if not there:
+        raise ValueError(f"the metrics of {run} have no training/{kind} to draw")
     data = metrics.filter(pl.col("steps") <= steps).select("steps", *there)
     every = -(-len(data) // POINTS)
     data = data.gather_every(every, (len(data) - 1) % every)  # with the last
     write_table(data, folder / "curve.csv")
-    label = "reward per step" if per_step else "return"
-    drawn = learning_curves(data.with_columns(seed=pl.lit(config.seed)), there, label)
+    data = data.with_columns(seed=pl.lit(config.seed))
+    drawn = learning_curves(data, there, kind.replace("_", " "))
     drawn.savefig(file := io.BytesIO())
     write_aside(folder / "curve.png", file.getvalue())
 
