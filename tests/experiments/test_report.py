@@ -446,7 +446,7 @@ def test_a_table_that_was_cut_short_is_told(tmp_path, monkeypatch):
         spec.cached(tmp_path, "a", whole.clear)
     panics = Mock(side_effect=pl.exceptions.PanicException("range end index 9"))  # no Exception
     path.write_bytes(data)
-    monkeypatch.setattr(pl, "read_parquet", panics)
+    monkeypatch.setattr(pl, "scan_parquet", panics)
     with pytest.raises(ValueError, match=told):
         spec.cached(tmp_path, "a", whole.clear)
 

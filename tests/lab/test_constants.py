@@ -107,7 +107,7 @@ def test_the_page_s_prior_of_errors_is_python_s(chrome, static, exported, monkey
         told = page.evaluate(
             """async (way) => {
               const { posterior } = await import(new URL("agent/agency.js", location.href));
-              return posterior(Array.from({ length: 5 }, () => Array(5).fill(0)), way);
+              return posterior(Array.from({ length: 5 }, () => Array(5).fill(true)), way);
             }""",
             way,
         )
