@@ -83,8 +83,8 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     from astray.report.learning import learning_curves  # here: matplotlib takes a second
 
     metrics = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)
-    ended = "training/return" in metrics.columns  # an episode
-    kind = "return" if ended else "reward_per_step"
+    ends = "training/return" in metrics.columns  # else no episode has ended
+    kind = "return" if ends else "reward_per_step"
     both = {f"training/{kind}": config.variant, f"validation/{kind}": config.validation}
     there = {name: of for name, of in both.items() if of and name in metrics.columns}
     if not there:
