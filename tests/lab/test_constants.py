@@ -45,7 +45,7 @@ def test_planes_have_the_order_of_python(chrome, static, exported, monkeypatch, 
     places = [getattr(draw, f"{plane}_PLANE") for plane in order.split()]
     for place, plane in enumerate(order.split()):
         monkeypatch.setattr(draw, f"{plane}_PLANE", place)
-    with now(exported), modules_of(chrome, static) as page:
+    with now(exported, game), modules_of(chrome, static) as page:
         (told,) = json.loads(
             page.evaluate(
                 PLAY, [f"rules/{name}.js", level.to_json(), knobs(game.variant(kind)), []]
@@ -55,12 +55,10 @@ def test_planes_have_the_order_of_python(chrome, static, exported, monkeypatch, 
 
 
 @contextmanager
-def now(exported):
-    """The exported page has the constants that Python has now, in its kernels, too."""
+def now(exported, *games_):
+    """The exported page has the constants that Python has now, also in the kernels of `games_`."""
     made = {constants.PATH: constants.module(), rules.SHARED: rules.shared()}
-    for path in (exported / "rules").glob("*-kernels.js"):
-        game = games.find(path.name.removesuffix("-kernels.js"))
-        made[rules.path(game)] = rules.module(game).encode()
+    made |= {rules.path(game): rules.module(game).encode() for game in games_}
     before = {path: (exported / path).read_bytes() for path in made}
     for texts in (made, before):
         for path, text in texts.items():
