@@ -1,5 +1,6 @@
 """Validation of arguments, and safe display of what was given."""
 
+import functools
 import itertools
 import math
 import os
@@ -18,6 +19,7 @@ MOST = 2**31 - 1  # of a knob, and of what is counted
 AT_ONCE = 10_000_000  # numbers of a range that are written out
 NUMBERS = int | float | np.integer | np.floating
 UNCOUNTED = bool | np.bool_ | np.timedelta64  # that are integers to Python or numpy
+types_of = functools.cache(typing.get_type_hints)  # of fields: it takes longer than their checks
 
 
 def bounded(name: str, given: Any, least: float, most: float) -> None:
@@ -72,7 +74,7 @@ def check_words(record: Any) -> None:
     A misspelt word would otherwise be read as another one, and "no" as yes. Other fields are not
     checked.
     """
-    for name, kind in typing.get_type_hints(type(record)).items():
+    for name, kind in types_of(type(record)).items():
         if typing.get_origin(kind) is Literal:
             one_of(name, getattr(record, name), kind)
         elif kind in (bool, str):

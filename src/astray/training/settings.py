@@ -12,7 +12,7 @@ from tyro.conf import arg
 from astray import imports
 from astray.game import MOST_EDITS, Mutation
 from astray.record import LEVELS
-from astray.validation import MOST, of_kind, one_of, shown
+from astray.validation import MOST, of_kind, one_of, shown, types_of
 
 KNOB = "variant."  # prefix that marks a name as a knob rather than a setting
 SHORT = {"lr": "learning_rate"}  # other names of settings
@@ -124,7 +124,7 @@ class Fast:
 
 def check(record: Any) -> None:
     """Raise ValueError unless every field, except nested records, has its type and range."""
-    for name, kind in typing.get_type_hints(type(record)).items():
+    for name, kind in types_of(type(record)).items():
         value = getattr(record, name)
         if kind in (Sampling, Fast):
             of_kind(name, value, kind)
