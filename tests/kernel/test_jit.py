@@ -17,7 +17,8 @@ import astray
 from astray.envs import loops
 from astray.games import maze
 from astray.games.coinrun import rules as others
-from astray.kernel.jit import code_digest, one_at_a_time, specialise
+from astray.kernel.jit import code_digest, entry, one_at_a_time, specialise
+from astray.kernel.stored import Stored
 from helpers.processes import environment
 
 ROOM = Path(__file__).parents[2] / "examples/open-room/src"
@@ -59,8 +60,15 @@ def test_two_functions_of_a_module_are_two(module):
     assert len(found) == 6 and None not in found
 
 
-def test_code_that_another_function_made_has_no_digest(module):
-    assert digest_with(module.made(1)) is None
+def test_code_that_another_function_made_has_what_it_was_made_of_in_its_digest(module):
+    one, same, other = (digest_with(module.made(amount)) for amount in (1, 1, 2))
+    assert one == same != other
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_only_its_own_values_keep_code_from_files(module):
+    assert not isinstance(entry(module.made(1))._cache, Stored)
+    assert isinstance(specialise(loops.run, "", step=module.made(1))._cache, Stored)
 
 
 def test_an_edit_is_another_digest(module, tmp_path):

@@ -12,7 +12,7 @@ from astray import games, grid
 from astray.acting import initial_states
 from astray.envs.vector import GameVectorEnv
 from astray.insight.actions import effects
-from astray.kernel.jit import passing
+from astray.kernel.jit import kernel, passing
 from astray.lab import rules, wasm
 from astray.lab.worlds import snapshot
 from astray.level import Level
@@ -412,6 +412,26 @@ def test_a_field_that_is_no_number_of_a_page_is_refused_by_its_name(asked, kind)
     state = numba.from_dtype(np.dtype([("z", kind), ("a", int)]))
     with pytest.raises(ValueError, match="must have real numbers in the field 'z'; got"):
         wasm.compiled({"ask": (asked("return 1")[0], (state,))})
+
+
+def adds(amount):
+    @kernel
+    def add(s):
+        s.a += amount
+
+    return add
+
+
+def test_compiled_kernels_are_kept_until_their_code_or_the_file_is_another(monkeypatch, tmp_path):
+    make, made = wasm._compiled, []
+    monkeypatch.setattr(wasm, "code_folder", lambda: str(tmp_path))
+    monkeypatch.setattr(wasm, "_compiled", lambda kernels: made.append(1) or make(kernels))
+    first = compiled(adds(1))
+    assert compiled(adds(1)) == first and len(made) == 1
+    assert compiled(adds(2)) != first and len(made) == 2
+    for file in tmp_path.rglob("*.nbc"):
+        file.write_bytes(file.read_bytes()[:-1])
+    assert compiled(adds(1)) == first and len(made) == 3
 
 
 TARGETS = """async ([path, levels, variant, goals]) => {

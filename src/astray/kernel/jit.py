@@ -52,13 +52,11 @@ def code_digest(function: Any) -> str | None:
 
     Returns:
         16 hexadecimal digits, or None if the dependencies are unknown: the function has no file,
-        as in a notebook, or another function made it.
+        as in a notebook.
     """
     told, called = [], set()
     for name, part in _parts("", function):
         is_function = isinstance(part, FunctionType)
-        if is_function and part.__closure__:
-            return None
         told.extend(_frozen(name, part, called) if is_function else [(name, part)])
     return provenance.digest(called, data=sorted(told, key=repr))
 
@@ -222,7 +220,9 @@ def entry(function: Any) -> Any:
     They are compiled one at a time, but for those of one game, whose batch loop has its own lock.
     """
     provenance.see(function)
-    compiled, digest = passing(function), code_digest(function)
+    compiled = passing(function)
+    # What closes over a function numba's files tell apart by its address.
+    digest = None if function.__closure__ else code_digest(function)
 
     @functools.cache
     def folder() -> str:

@@ -122,10 +122,25 @@ class Stored(Cache):
         return super().load_overload(sig, target_context) if self._folder() else None
 
     def save_overload(self, sig: Any, data: Any) -> None:
+        self._save(super().save_overload, sig, data)
+
+    def text(self, make: Callable[[], str]) -> str:
+        """Return what `make` returns, from a file if it was made before."""
+        found = self._cache_file.load("") if self._folder() else None
+        if found is None:
+            found = make()
+            self._save(self._save_text, found)
+        return found
+
+    def _save_text(self, text: str) -> None:
+        self._impl.locator.ensure_cache_path()
+        self._cache_file.save("", text)
+
+    def _save(self, write: Callable, *what: Any) -> None:
         if not Stored.writes or not self._folder():
             return
         try:
-            super().save_overload(sig, data)
+            write(*what)
         except OSError as error:  # a full disk, or a folder that was closed
             Stored.writes = False
             warnings.warn(f"compiled code is not kept: {error}", stacklevel=2)

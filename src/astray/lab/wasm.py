@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from types import FunctionType
 from typing import Any
 
+import llvmlite
 import llvmlite.binding as llvm
 import numba
 import numpy as np
@@ -27,6 +28,10 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 from numba.core.registry import cpu_target
 from numba.core.typing.context import Context
+
+from astray import provenance
+from astray.kernel.jit import code_digest, code_folder
+from astray.kernel.stored import Stored
 
 NAME = "wasm"  # of the target, in numba
 TRIPLE, FEATURES = "wasm32-unknown-unknown", "+bulk-memory,+nontrapping-fptoint,+sign-ext"
@@ -200,9 +205,8 @@ target_extension.dispatcher_registry[_WebAssembly] = _Dispatcher
 target_extension.jit_registry[_WebAssembly] = _jit
 
 
-@global_compiler_lock
 def compiled(kernels: Mapping[str, tuple[Callable, tuple[types.Type, ...]]]) -> str:
-    """Return kernels as an expression of JavaScript, an object of functions.
+    """Return kernels as an expression of JavaScript, an object of functions; it is kept in a file.
 
     Args:
         kernels: Name on the page -> a function, and the types of its arguments: numbers, arrays in
@@ -211,6 +215,17 @@ def compiled(kernels: Mapping[str, tuple[Callable, tuple[types.Type, ...]]]) -> 
     Raises:
         ValueError: If one of them cannot be compiled, or needs what a page does not have.
     """
+    make = functools.partial(_compiled, kernels)
+    told = {name: (code_digest(kernel), takes) for name, (kernel, takes) in kernels.items()}
+    digest = provenance.digest(_compiled, data=(llvmlite.__version__, told))
+    if not digest or not all(known for known, _ in told.values()):  # as in a notebook
+        return make()
+    (first, _), *_ = kernels.values()
+    return Stored(getattr(first, "py_func", first), digest, code_folder).text(make)
+
+
+@global_compiler_lock
+def _compiled(kernels: Mapping[str, tuple[Callable, tuple[types.Type, ...]]]) -> str:
     machine: Any = cpu_target.target_context
     machine.refresh()  # whose own memory is made first
     context = _Dispatcher.targetdescr.target_context
