@@ -137,7 +137,8 @@ def commands(config: Config) -> list[str]:
         f"astray reproduce {name} --size {size}"
         for name in catalogue.NAMES
         for size, plan in catalogue.load(name).sizes.items()
-        if any(its in map(name_of_run, configs) for configs in plan.trainings().values())
+        if any(one.game == config.game for one in plan.agents.values())
+        and any(its in map(name_of_run, configs) for configs in plan.trainings().values())
     ]
 
 
