@@ -18,13 +18,13 @@ test: $(INSTALLED)
 	-$(BIN)/astray art import
 	$(MAKE) --no-print-directory --jobs 2 tested check docs
 
-# Two workers on two cores; a second thread in each would wait for a core, and keep it busy. Each
-# takes as long as thousands of small tests to begin with. One begins with half of all tests in a
-# row, so that most of what they share is made once. What Python has parsed is kept, as tests start
-# many processes.
+# Three workers on two cores, as tests wait for pages and processes; a second thread in each would
+# wait for a core, and keep it busy. Each takes as long as thousands of small tests to begin with.
+# One begins with many tests in a row, so that most of what they share is made once. What Python has
+# parsed is kept, as tests start many processes.
 test tested quick thorough fuzz: export OMP_NUM_THREADS ?= 1
 test tested quick thorough fuzz: export PYTHONDONTWRITEBYTECODE =
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+PYTEST := $(BIN)/python -m pytest -n 3 --dist worksteal
 
 tested: compiled
 	$(PYTEST)

@@ -486,7 +486,11 @@ def test_levels_of_an_agent_are_in_no_file_of_another_variants(untrained, tmp_pa
     assert [len(level["text"].splitlines()) for level in levels] == [25, 7]
 
 
-@pytest.mark.parametrize("name", ["thief", "grid", "kernels", "maze-kernels"])
+ANOTHER = pytest.mark.thorough  # file of the same folder
+NAMES = [pytest.param("thief", marks=ANOTHER), "grid", pytest.param("kernels", marks=ANOTHER)]
+
+
+@pytest.mark.parametrize("name", [*NAMES, "maze-kernels"])
 def test_a_guest_with_the_name_of_a_file_of_the_page_takes_its_place_nowhere(
     chrome, name, monkeypatch, tmp_path
 ):

@@ -133,6 +133,7 @@ def test_a_communicator_ends_after_the_graphs_that_use_it(fails, tmp_path, monke
     assert [bool(graph.calls) for graph in pretended.graphs] == [True, False]
 
 
+@pytest.mark.thorough  # `test_benchmarks` runs it on a processor
 def test_the_benchmark_runs_on_a_gpu(monkeypatch):
     monkeypatch.setattr(profile, "SIDE", 64)
     small = ALL.changed(num_envs=2, num_steps=4, bfloat16=False)

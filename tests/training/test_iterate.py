@@ -77,7 +77,7 @@ look(iterations)
 """
 
 
-@pytest.mark.parametrize("error", [[], ["error"]])
+@pytest.mark.parametrize("error", [pytest.param([], marks=pytest.mark.thorough), ["error"]])
 def test_a_program_that_still_holds_the_loop_when_it_ends_has_a_checkpoint_too(tmp_path, error):
     """Python ended the generator after torch was half gone: it aborted, and nothing was saved."""
     command = [sys.executable, "-c", KEPT, str(tmp_path / "run"), *error]
