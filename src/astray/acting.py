@@ -37,7 +37,7 @@ from astray.world import World, WorldVariant
 EVERY = 5.0  # seconds between reports of the levels played
 LASTING = 1_000_000  # steps; longer episodes count as endless
 OF_WORLD = 100_000  # likewise of a World, which tells no limit; its steps can take milliseconds
-REMEDY = ", or lower the variant's time_limit (--set time_limit=N)"  # of games
+REMEDY = " lower the variant's time_limit (--set time_limit=N), or"  # of games
 GOES_ON = "%d of %d levels played; those begun go on after %d steps: `longest` truncates episodes"
 SHORT = 10_000  # steps; of a game, longer episodes may seem to be endless
 BETWEEN_LOOKS = 64  # steps between looks for endless episodes, as a look takes 10 us
@@ -380,7 +380,7 @@ def check_ending(game: str | Game | World, variant: Any, longest: int | None) ->
 
 
 def _endless(what: str, remedy: str) -> str:
-    return f"{what} steps: say `longest`, after which an episode is left{remedy}"
+    return f"{what} steps:{remedy} say `longest`, after which an episode is left"
 
 
 def check_policy(policy: Any) -> None:

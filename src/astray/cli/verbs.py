@@ -72,7 +72,8 @@ def run() -> None:
     elif given and given[0] in VERBS:
         function = find(given[0])
         verb = _parsed(function, given)
-        with _told("longest" in inspect.signature(function).parameters):
+        has, study = "longest" in inspect.signature(function).parameters, given[0] == "reproduce"
+        with _told("--longest" if has else "`longest`" * study):  # a study's own says it
             verb()
     elif given and not given[0].startswith("-"):
         raise ValueError(f"unknown verb {given[0]!r}; there are: {', '.join(VERBS)}")
@@ -156,15 +157,17 @@ def _mistake(call: Callable[..., Any], given: list[str], refused: str) -> str:
 
 
 @contextlib.contextmanager
-def _told(has_longest: bool) -> Iterator[None]:
+def _told(longest: str) -> Iterator[None]:
     """Write on standard error how many levels have been played, every few seconds.
 
-    In errors, too, `longest` is --longest if the verb has it; a count of levels is --num-levels.
+    In errors, too, `longest` is called so, or left out for ""; a count of levels is --num-levels.
     """
 
     def named(text: str) -> str:
         text = re.sub("^levels(?= must be (an integer )?from)", "--num-levels", text)
-        return text.replace("`longest`", "--longest") if has_longest else text
+        if longest:
+            return text.replace("`longest`", longest)
+        return re.sub("(:|, or)( say)? `longest`.*", "", text)
 
     log, handler = logging.getLogger("astray.acting"), logging.StreamHandler()
     handler.format = lambda record: named(record.getMessage())
