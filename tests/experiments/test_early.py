@@ -16,6 +16,7 @@ from astray.analysis.adapters import Function
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random
 from astray.analysis.runs import evaluate_policies, load_agent
+from astray.analysis.trained import Agent
 from astray.envs.vector import GameVectorEnv
 from astray.experiments import run, spec, workers
 from astray.experiments.levels import play
@@ -72,6 +73,15 @@ def test_what_cannot_be_played_is_refused_before_a_script_plays(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Random, "actions", lambda *_: pytest.fail("a script played"))
     assert said in astray(*words, fails=True)
+
+
+def test_a_script_without_a_goal_is_refused_before_the_agents_beside_it_play(
+    astray, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Agent, "actions", lambda *_: pytest.fail("an agent played"))
+    told = astray("compare", "maze-corner", "walk:chese", fails=True)
+    assert "unknown goal 'chese'; there are: cheese" in told
 
 
 def test_the_agents_of_a_plan_are_tried_in_all_its_tests_before_one_is_played(monkeypatch):

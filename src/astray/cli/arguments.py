@@ -142,7 +142,7 @@ class OwnPolicy:
             ValueError: As `replaces` does.
         """
         if self.replaces(agents, needs):
-            return self.make(acting), world.find(self.rules()), None
+            return self.make(acting, rules := world.find(self.rules())), rules, None
         player, config = acting.open(agents if isinstance(agents, Path) else agents[0])
         return player, config.find_game(), config
 
@@ -174,8 +174,8 @@ class OwnPolicy:
                     raise ValueError(f"{agent} plays {its}, and --world {self.world} is another")
         return False
 
-    def make(self, acting: Acting) -> Policy:
-        """Return the policy; raise ValueError if the name is unknown."""
+    def make(self, acting: Acting, rules: Game | World) -> Policy:
+        """Return the policy; raise ValueError if the name, or a walk's goal, is unknown."""
         from astray.analysis.adapters import Function
         from astray.analysis.policies import Random, Walk
 
@@ -188,7 +188,8 @@ class OwnPolicy:
         if self.policy == "random":
             return Random(observation=seen, art=art)
         if self.policy.startswith(WALK):
-            return Walk(self.policy.removeprefix(WALK), seen, art)
+            one_of("goal", goal := self.policy.removeprefix(WALK), rules.walked)
+            return Walk(goal, seen, art)
         if not imports.is_name(self.policy):
             one_of("policy", self.policy, ("random", f"{WALK}GOAL", "module:name"))
         found = imports.find(self.policy)

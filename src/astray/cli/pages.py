@@ -127,7 +127,7 @@ def audit(
     how |= {"rewards": imports.find_each(rewards), "out": out, "longest": longest}
     how["command"] = command_of("astray", *sys.argv[1:])
     if policy.replaces(agent, {"--shift": shift}):
-        print(write(policy.make(acting), policy.rules(), shift, **how))
+        print(write(policy.make(acting, rules := policy.rules()), rules, shift, **how))
     else:
         assert agent is not None
         print(write(agent, shift=shift, **vars(acting), **how))
@@ -200,7 +200,7 @@ def compare(
     first = max((config.unseen_levels.start for config in configs), default=0)
     numbers = level_numbers(f"{first}:{first + SOME}" if levels is None else levels)
     policies = [
-        opened[one][0] if one in opened else OwnPolicy(policy=one).make(tested.acting)
+        opened[one][0] if one in opened else OwnPolicy(policy=one).make(tested.acting, rules)
         for one in agents
     ]
     how: Any = {"command": command_of("astray", *sys.argv[1:]), "longest": longest}
