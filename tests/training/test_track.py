@@ -110,6 +110,21 @@ def test_a_tracker_that_is_missing_is_told_before_the_work(study, tmp_path, monk
     assert not [*tmp_path.iterdir()]
 
 
+def test_a_login_that_fails_is_told_before_a_run_folder_is_made(tmp_path, monkeypatch):
+    def login():
+        raise ConnectionError("no key")
+
+    wandb = ModuleType("wandb")
+    monkeypatch.setattr(wandb, "login", login, raising=False)
+    monkeypatch.setitem(sys.modules, "wandb", wandb)
+    monkeypatch.setenv("WANDB_MODE", "online")
+    with pytest.raises(RuntimeError, match="wandb cannot track this run: no key"):
+        track.train_tracked(CONFIG, tmp_path / "run", "wandb", progress=False)
+    assert not [*tmp_path.iterdir()]
+    monkeypatch.setenv("WANDB_MODE", "offline")  # where nobody needs a login
+    track.check_installed("wandb")
+
+
 def test_an_unknown_tracker_is_told(tmp_path):
     with pytest.raises(ValueError, match="unknown tracker 'mlflow'; there are: wandb, trackio"):
         track.Tracker("mlflow", "name", tmp_path, {})

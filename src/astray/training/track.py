@@ -5,6 +5,7 @@ settings decide where the data goes: `WANDB_MODE=offline` for wandb; Trackio sta
 unless it is given a Space.
 """
 
+import contextlib
 import json
 import os
 import uuid
@@ -39,10 +40,8 @@ class Tracker:
         check_installed(by)
         self.by, self._warned = by, False
         begin = _begin_wandb if by == "wandb" else _begin_trackio
-        try:
+        with _beginning(by):
             self._run, self._library = begin(name, folder, settings)
-        except Exception as error:
-            raise RuntimeError(f"{by} cannot track this run: {error}") from error
 
     def log(self, steps: int, values: Mapping[str, Any]) -> None:
         """Log `values` by name after `steps` environment steps."""
@@ -87,10 +86,26 @@ class Tracker:
 
 
 def check_installed(by: Tracking) -> None:
-    """Raise ImportError if a tracker is not installed, before the work that it would record."""
+    """Check a tracker before the work that it would record, and log in to wandb if it is online.
+
+    Raises:
+        ImportError: If it is not installed.
+        RuntimeError: If wandb refuses the login.
+    """
     one_of("tracker", by, Tracking)
     with imports.extra("track", f"{by} is not installed"):
-        import_module(by)
+        library: Any = import_module(by)
+    if by == "wandb" and os.environ.get("WANDB_MODE", "online") == "online":
+        with _beginning(by):
+            library.login()
+
+
+@contextlib.contextmanager
+def _beginning(by: Tracking) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:
+        raise RuntimeError(f"{by} cannot track this run: {error}") from error
 
 
 def train_tracked(
