@@ -1,5 +1,6 @@
 """Import of users' objects by name, "module:attribute", as in entry points."""
 
+import atexit
 import builtins
 import contextlib
 import importlib
@@ -27,7 +28,7 @@ class Terminated(KeyboardInterrupt):
 
 
 class _Lent:
-    """The standard streams, functions and path while users' code runs, which may replace them.
+    """The standard streams, functions, path and folder while users' code runs, which may set them.
 
     Threads that run such code at once share what is lent: the first lends, the last takes back.
     """
@@ -42,6 +43,9 @@ class _Lent:
                 return
             self.standard = [(module, {**vars(module)}) for module in (builtins, json, os)]
             self.own, self.path, self.output = (sys.stdout, sys.stderr), [*sys.path], 0
+            self.folder = ""
+            with contextlib.suppress(OSError):  # it was removed
+                self.folder = os.getcwd()
             if sys.__stderr__ and sys.stdout is sys.__stdout__:  # a program may read the output
                 stream = open(2, "w", 1, errors="backslashreplace", closefd=False)
                 sys.stdout = sys.stderr = stream
@@ -64,9 +68,16 @@ class _Lent:
                 sys.stdout, sys.stderr = self.own
                 if lost := [place for place in self.path if place not in (sys.path or ())]:
                     sys.path = [*(sys.path or ()), *lost]  # else others seem not to be installed
+                with contextlib.suppress(OSError):
+                    os.chdir(self.folder)  # which relative paths of the user's begin at
 
 
 _LENT = _Lent()
+
+
+def lend_at_exit() -> None:
+    """Lend the streams to what users' code has Python call at its end, as that may print, too."""
+    atexit.register(_LENT.__enter__)
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -177,6 +178,29 @@ def test_a_game_that_loses_the_path_of_modules_hides_no_game_after_it(tmp_path, 
     found, broken = games.survey(lambda game: game.name)
     assert "whole" in found and {*broken} == {"ruins"} and {*before} <= {*sys.path}
     games._offered.cache_clear()
+
+
+def test_a_game_that_changes_the_current_folder_leaves_the_users(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    offer(tmp_path, monkeypatch, moves="import os\nos.chdir('/')\nGAME = 3")
+    assert {*games.survey(lambda game: game.name)[1]} == {"moves"} and Path.cwd() == tmp_path
+    games._offered.cache_clear()
+
+
+@pytest.mark.parametrize("words", [("list", "--json"), ("list", "no-word")])
+def test_what_a_game_prints_at_the_end_of_python_is_not_in_the_output(tmp_path, monkeypatch, words):
+    lasts = "import atexit\natexit.register(print, 'farewell')\nGAME = 3"
+    offer(tmp_path, monkeypatch, lasts=lasts)
+    games._offered.cache_clear()
+    program = "import sys; from astray import cli, imports; imports.find('lasts:GAME'); cli.main()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, *words],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
+    )
+    assert "farewell" in done.stderr and "farewell" not in done.stdout
+    assert done.returncode or "lasts" in json.loads(done.stdout)["games"]
 
 
 def test_a_list_does_not_wait_for_a_thread_of_a_game(tmp_path, monkeypatch):

@@ -52,6 +52,7 @@ def main() -> None:
     except (ValueError, OSError, RuntimeError, ImportError, OverflowError, MemoryError) as error:
         _tell(str(error) or NAMES.get(type(error), type(error).__name__))
         code = MISTAKE
+    imports.lend_at_exit()
     if code:
         _give_up_output()
         sys.exit(code)
