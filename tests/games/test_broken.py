@@ -51,6 +51,9 @@ SOURCES = {
     "variants={}, shifts={})",
     "lacks_rules": "import dataclasses\nfrom astray import games\n"
     "GAME = dataclasses.replace(games.find('maze'), name='lacks_rules', rules=None)",
+    "has_odd_names": "import dataclasses\nfrom astray import games\nMAZE = games.find('maze')\n"
+    "GAME = dataclasses.replace(MAZE, name='has_odd_names', shifts={}, "
+    "variants={'a:b': MAZE.variants['corner']})",
     "has_odd_goals": "import dataclasses\nfrom astray import games\n"
     "GAME = dataclasses.replace(games.find('maze'), name='has_odd_goals', goals={3: object()})",
 }
@@ -58,6 +61,7 @@ REASONS = {
     "raises": "RuntimeError('it lacks a file')",
     "leaves": "SystemExit(0)",
     "is_none": "must be a Game called 'is_none'; got 3",
+    "has_odd_names": "must be of letters, digits, _, - and .; got 'has_odd_names' with 'a:b'",
     "hides": "must be a Game called 'hides'; got <Hidden that cannot be shown>",
     "fails_unsaid": "fails: <Unsaid that cannot be shown>",
     "poses": "SystemExit(None)",

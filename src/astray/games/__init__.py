@@ -47,11 +47,7 @@ def register(game: Game) -> None:
         ValueError: If the name is invalid, or that of one of astray's own games.
     """
     of_kind("a game", game, Game)
-    if not all(re.fullmatch(r"[\w:.-]+", name) for name in (game.name, *game.variants)):
-        raise ValueError(
-            "names of a game and its variants must be of letters, digits, _, -, . and :; got "
-            f"{game.name!r} with {', '.join(map(repr, game.variants))}"
-        )
+    _check_names(game.name, *game.variants)
     if game.name in OWN:
         raise ValueError(f"a game's name must be its own; {game.name!r} is one of astray's")
     _registered[game.name] = game
@@ -110,6 +106,17 @@ def _load(name: str, values: tuple[str, ...]) -> Game:
     game = imports.only(name, values, GROUP)
     with imports.guarded(f"the game {name!r}, {values[0]},"):
         known = isinstance(game, Game) and game.name == name  # a stranger's class may exit
+        variants = [*map(str, game.variants)] if known else []
     if not known:
         raise ValueError(f"{values[0]} must be a Game called {name!r}; got {shown(game)}")
+    _check_names(name, *variants)
     return game
+
+
+def _check_names(name: str, *variants: str) -> None:
+    """Raise ValueError unless a game and its variants have names that a file can have."""
+    if not all(re.fullmatch(r"[\w.-]+", one) for one in (name, *variants)):
+        raise ValueError(
+            "names of a game and its variants must be of letters, digits, _, - and .; got "
+            f"{name!r} with {', '.join(map(repr, variants))}"
+        )
