@@ -73,6 +73,23 @@ def test_a_kill_while_an_old_checkpoint_is_removed_leaves_no_half_of_it(tmp_path
     assert not [p for p in (tmp_path / "checkpoints").iterdir() if p.name.startswith(".")]
 
 
+def test_an_old_checkpoint_that_is_read_meanwhile_is_removed_with_a_later_one(
+    tmp_path, monkeypatch
+):
+    refused, replaces = [], os.replace
+
+    def replace_(source, to):
+        if Path(to).name.startswith(".") and source not in refused:  # as Windows does, once each
+            refused.append(source)
+            raise PermissionError
+        replaces(source, to)
+
+    monkeypatch.setattr(os, "replace", replace_)
+    train(replace(CONFIG, steps=40 * 1024), tmp_path, progress=False)
+    saved = {path.name for path in (tmp_path / "checkpoints").iterdir()}
+    assert len(refused) > 1 and {path.name for path in refused[:-1]}.isdisjoint(saved)
+
+
 def test_a_refused_training_leaves_no_settings_beside_checkpoints_that_have_others(run):
     (run / "config.json").unlink()
     with pytest.raises(ValueError, match="gamma is"):

@@ -149,12 +149,12 @@ def save(folder: Path, trainer: Trainer) -> None:
         place = there / f"{old}"
         if not files.holds_only(place, (AGENT, TRAINER)):
             continue  # it leads elsewhere, or the user keeps something in it
-        if old in firsts:
-            (place / TRAINER).unlink(missing_ok=True)
-        else:
-            gone = files.aside_of(place)  # first out of sight: a kill may leave half of it
-            os.replace(place, gone)
-            files.remove_left(there, (AGENT, TRAINER))
+        with contextlib.suppress(PermissionError):  # Windows, while it is read: so the next time
+            if old in firsts:
+                (place / TRAINER).unlink(missing_ok=True)
+            else:
+                os.replace(place, files.aside_of(place))  # at once: a kill may leave half of it
+                files.remove_left(there, (AGENT, TRAINER))
 
 
 def restore(folder: Path, trainer: Trainer) -> None:
