@@ -150,6 +150,36 @@ def test_a_drawn_level_of_coinrun_begins_and_ends_where_it_does_in_python(page, 
             assert mine["state"][name] == python["state"][name], name
 
 
+SPLAYED = """async (m) => {
+  const { splayed } = await import(new URL("engine/levels.js", location.href));
+  const levels = splayed(await lab.engine.world(m), "crate", null, lab.about.games.coinrun);
+  return levels.map(({ cell, level }) => [cell, level.looks]);
+}"""
+
+
+def test_a_walker_under_a_crate_that_is_lifted_is_in_the_level_as_in_python(page):
+    words = {"game": "coinrun", "variant": "coin-end"}
+    drawing = DRAWN.replace("@..", "@.c").replace("%", ".")
+    _, there = both(page, **words, kind="level", level=drawing)
+    met = {name: there["level"][name] for name in ("grid", "agent", "looks")}
+    at = [4, len(DRAWN.splitlines()) - 4]
+    walkers = [[*at, 0, 3], [*at, 1, 0]]  # of which one stays beneath the other
+    met["looks"] = met["looks"] | {"details": [[*at, 1]], "walkers": walkers}
+    same, _ = both(page, **words, kind="level", level=met)
+    assert same["level"]["looks"]["walkers"] == walkers
+    lifted = {**met, "grid": [[*row] for row in met["grid"]]}
+    lifted["grid"][at[1]][at[0]] = 0
+    lifted["looks"] = met["looks"] | {"details": []}
+    here, there = both(page, **words, kind="level", level=lifted)
+    assert here["text"] == there["text"] and here["text"] != same["text"]
+    for name in ("grid", "looks"):
+        assert here["level"][name] == there["level"][name], name
+    assert here["level"]["looks"]["details"] == [[*at, 3]]
+    splayed = page.evaluate(SPLAYED, words | {"level": met})
+    assert splayed and at not in [cell for cell, _ in splayed]
+    assert all(looks["walkers"] == walkers for _, looks in splayed)
+
+
 def test_a_level_of_coinrun_that_is_too_large_is_refused_in_python_s_words(page):
     level = "\n".join([".@" + 63 * ".", 65 * "#"])
     words = {"kind": "level", "game": "coinrun", "variant": "coin-end", "level": level}

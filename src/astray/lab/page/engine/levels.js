@@ -4,7 +4,7 @@ import { carried } from "../level.js";
 import { cellsOf } from "../rules/common.js";
 import { coinrun } from "../rules/constants.js";
 
-const { WORLD, WALL, TOP, PERMEABLE } = coinrun;
+const { WORLD, EMPTY, WALL, TOP, PERMEABLE, SAW_HERE, WALKER_LEFT, SAW_AND_LEFT } = coinrun;
 const ON = "@ on "; // begins a line below a drawing, which says what the agent stands on
 
 // The rows of a drawing, the uppermost first, as `Level.from_text` finds them.
@@ -65,7 +65,22 @@ export function whole(level) {
   const looks = { ...level.looks };
   looks.end ??= endOf(grid);
   looks.permeable ??= grid[looks.end[1]].filter((what) => what === PERMEABLE).length;
-  return { ...level, grid, looks };
+  return uncovered({ ...level, grid, looks });
+}
+
+// A level with the walkers that looks alone put into a cell which is empty now, as Python has it.
+function uncovered(level) {
+  const { walkers, ...looks } = { ...level.looks };
+  const grid = level.grid.map((row) => [...row]);
+  const sharing = (walkers ?? []).filter(([x, y, left, look]) => {
+    const what = grid[y]?.[x];
+    if (what !== EMPTY && what !== SAW_HERE) return true;
+    grid[y][x] = (what === EMPTY ? WALKER_LEFT : SAW_AND_LEFT) + (left ? 0 : 1);
+    const others = carried({ details: looks.details ?? [] }, [x, y]).details;
+    looks.details = carried({ details: look ? [...others, [x, y, look]] : others }, null).details;
+    return false;
+  });
+  return { ...level, grid, looks: sharing.length ? { ...looks, walkers: sharing } : looks };
 }
 
 // The lowest cell to stand in, in the last column that has one, or before a permeable wall.
@@ -91,10 +106,11 @@ export function splayed({ level, kind, rules }, thing, at, about) {
     if (!where || grid[where[1]][where[0]] !== code) throw new Error(`which ${thing}?`);
     lifted[where[1]][where[0]] = 0;
   }
+  const free = uncovered({ grid: lifted, looks }).grid;
   const state = rules.build({ grid: lifted, agent, looks: carried(looks, where) }, kind);
   const here = agent.map(Math.floor);
   return rules.places(state)
-    .filter((cell) => (String(cell) === String(here) ? thing === "agent" : lifted[cell[1]][cell[0]] === 0))
+    .filter((cell) => (String(cell) === String(here) ? thing === "agent" : free[cell[1]][cell[0]] === 0))
     .sort((one, two) => one[1] - two[1] || one[0] - two[0])
     .map((cell) => {
       const cells = lifted.map((row) => [...row]);
