@@ -81,7 +81,7 @@ def test_a_registered_game_is_found_by_name_and_by_gymnasium(monkeypatch):
         astray.register(replace(maze, name="keys"))
     with pytest.raises(ValueError, match=r"must be of letters.*'a mine'"):
         astray.register(replace(mine, name="a mine"))
-    with pytest.raises(ValueError, match="letters, digits, _, - and .; got 'mine' with 'a:b'"):
+    with pytest.raises(ValueError, match=r"letters, digits, _, - and \.; got 'mine' with 'a:b'"):
         astray.register(replace(mine, variants={"a:b": maze.variants["corner"]}))  # of a run folder
     assert "a mine" not in games.names()
     astray.register(replace(mine, variants={"two": maze.variants["corner"]}))

@@ -1,6 +1,5 @@
 """Import of users' objects by name, "module:attribute", as in entry points."""
 
-import atexit
 import builtins
 import contextlib
 import importlib
@@ -72,12 +71,7 @@ class _Lent:
                     os.chdir(self.folder)  # which relative paths of the user's begin at
 
 
-_LENT = _Lent()
-
-
-def lend_at_exit() -> None:
-    """Lend the streams to what users' code has Python call at its end, as that may print, too."""
-    atexit.register(_LENT.__enter__)
+LENT = _Lent()
 
 
 @contextlib.contextmanager
@@ -92,7 +86,7 @@ def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
         ValueError: If the code raises anything but those.
     """
     try:
-        with _LENT:
+        with LENT:
             yield
     except (KeyboardInterrupt, *passed):  # nothing tells one that the code raises from Ctrl+C
         raise

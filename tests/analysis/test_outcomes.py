@@ -159,7 +159,7 @@ def test_a_data_set_and_a_replay_are_of_lives_without_end_too(tmp_path, monkeypa
 
 
 def test_episodes_that_never_end_are_refused_at_once_or_left_after_the_longest(monkeypatch, astray):
-    with pytest.raises(ValueError, match="1,000,000,000 steps: lower .*, or say `longest`"):
+    with pytest.raises(ValueError, match=r"1,000,000,000 steps: lower .*, or say `longest`"):
         evaluate(always(1), GAME, "for-ever", LEVELS)
     episodes = evaluate(always(2), GAME, "for-ever", LEVELS, longest=20)
     assert set(episodes["length"]) == set(episodes["apples"]) == {20}

@@ -1,5 +1,6 @@
 """The command line: one plain function per verb, with readable errors."""
 
+import atexit
 import contextlib
 import io
 import os
@@ -52,7 +53,7 @@ def main() -> None:
     except (ValueError, OSError, RuntimeError, ImportError, OverflowError, MemoryError) as error:
         _tell(str(error) or NAMES.get(type(error), type(error).__name__))
         code = MISTAKE
-    imports.lend_at_exit()
+    atexit.register(imports.LENT.__enter__)  # users' code may print at Python's end, too
     if code:
         _give_up_output()
         sys.exit(code)

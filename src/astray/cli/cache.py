@@ -24,39 +24,19 @@ def cache(prune: bool = False, json: Json = False) -> None:
     removed = _prune(home) if prune else 0
     found = versions(home)
     if json:
-        print_json(
-            {
-                "folder": str(home),
-                "removed": removed,
-                "versions": [
-                    {
-                        "digest": one.folder.name,
-                        "this": _is_this(one),
-                        "about": one.about,
-                        "used": one.used,
-                        "files": one.files,
-                        "bytes": one.size,
-                    }
-                    for one in found
-                ],
-            }
-        )
-        return
+        told = [{"digest": one.folder.name, "this": _is_this(one), "about": one.about,
+                 "used": one.used, "files": one.files, "bytes": one.size}
+                for one in found]  # fmt: skip
+        return print_json({"folder": str(home), "removed": removed, "versions": told})
     if prune:
         print(f"removed: {removed / 1e6:.1f} MB")
     files, size = sum(one.files for one in found), sum(one.size for one in found)
     print(f"{home}: {size / 1e6:.1f} MB in {files} files")
     table = Table("version", "of", "last used", "MB", "files", "", box=None, padding=(0, 2))
     for one in found:
-        day = time.strftime("%Y-%m-%d", time.localtime(one.used))
-        table.add_row(
-            one.folder.name,
-            one.about or "?",
-            day,
-            f"{one.size / 1e6:.1f}",
-            f"{one.files}",
-            "this one" if _is_this(one) else "",
-        )
+        day, this = time.strftime("%Y-%m-%d", time.localtime(one.used)), _is_this(one)
+        row = (one.folder.name, one.about or "?", day, f"{one.size / 1e6:.1f}", f"{one.files}")
+        table.add_row(*row, "this one" if this else "")
     if found:
         show(table)
 

@@ -25,32 +25,15 @@ from astray.training.settings import SHORT
 
 # Where each is, beside this file: imported when it is asked for, as torch alone takes two seconds.
 VERBS = {
-    "list": "experiments:list_",
-    "play": "levels:play",
-    "lab": "lab:lab",
-    "train": "agents:train",
-    "distil": "distil:distil",
-    "evaluate": "agents:evaluate",
-    "audit": "pages:audit",
-    "compare": "pages:compare",
-    "reproduce": "experiments:reproduce",
-    "sweep": "sweep:sweep",
-    "keep": "agents:keep",
-    "push": "hub:push",
-    "pull": "hub:pull",
-    "record": "agents:record",
-    "export": "dataset:export",
-    "level": "levels:level",
-    "replay": "levels:replay",
-    "overlap": "levels:overlap",
-    "agency": "agents:agency",
-    "explain": "pages:explain",
-    "art": "art:art",
-    "cache": "cache:cache",
-    "import": "published:import_",
-    "agents": "published:agents",
-    "bench": "experiments:bench",
-}
+    "list": "experiments:list_", "play": "levels:play", "lab": "lab:lab", "train": "agents:train",
+    "distil": "distil:distil", "evaluate": "agents:evaluate", "audit": "pages:audit",
+    "compare": "pages:compare", "reproduce": "experiments:reproduce", "sweep": "sweep:sweep",
+    "keep": "agents:keep", "push": "hub:push", "pull": "hub:pull", "record": "agents:record",
+    "export": "dataset:export", "level": "levels:level", "replay": "levels:replay",
+    "overlap": "levels:overlap", "agency": "agents:agency", "explain": "pages:explain",
+    "art": "art:art", "cache": "cache:cache", "import": "published:import_",
+    "agents": "published:agents", "bench": "experiments:bench",
+}  # fmt: skip
 # Earlier names of options, which scripts may have.
 EARLIER = {"--folder": "--out", "--numbers": "--levels", "--others": "--num-levels"}
 # Settings have no prefixes, positional arguments have names, and nobody types None.

@@ -20,15 +20,11 @@ OWN = tuple(sorted(module.name for module in pkgutil.iter_modules(__path__) if m
 GROUP = "astray.games"
 # Our variants of what Procgen calls its games and difficulties.
 PROCGEN = {
-    ("coinrun", "hard"): ("coinrun", "procgen"),
-    ("coinrun", "easy"): ("coinrun", "procgen-easy"),
-    ("maze", "hard"): ("maze", "anywhere"),
-    ("maze", "easy"): ("maze", "anywhere-easy"),
-    ("maze", "memory"): ("maze", "anywhere-memory"),
-    ("heist", "hard"): ("heist", "hard"),
-    ("heist", "easy"): ("heist", "easy"),
-    ("heist", "memory"): ("heist", "memory"),
-}
+    ("coinrun", "hard"): ("coinrun", "procgen"), ("coinrun", "easy"): ("coinrun", "procgen-easy"),
+    ("maze", "hard"): ("maze", "anywhere"), ("maze", "easy"): ("maze", "anywhere-easy"),
+    ("maze", "memory"): ("maze", "anywhere-memory"), ("heist", "hard"): ("heist", "hard"),
+    ("heist", "easy"): ("heist", "easy"), ("heist", "memory"): ("heist", "memory"),
+}  # fmt: skip
 _registered: dict[str, Game] = {}
 
 

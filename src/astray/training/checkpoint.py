@@ -67,13 +67,11 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
                 check(folder, config)
             else:
                 versions = {
-                    "python": platform.python_version(),
-                    "torch": torch.__version__,
-                    "numpy": np.__version__,
-                    "numba": numba.__version__,
+                    "python": platform.python_version(), "torch": torch.__version__,
+                    "numpy": np.__version__, "numba": numba.__version__,
                     "gymnasium": gymnasium.__version__,
                     "sources": provenance.digest(Trainer, config.code()),
-                }
+                }  # fmt: skip
                 data = {"config": config.to_json(), "versions": versions}
                 found = _written(folder)
                 files.write_aside(path, json.dumps(data, indent=2).encode())

@@ -86,12 +86,7 @@ class Tracker:
 
 
 def check_installed(by: Tracking) -> None:
-    """Check a tracker before the work that it would record, and log in to wandb if it is online.
-
-    Raises:
-        ImportError: If it is not installed.
-        RuntimeError: If wandb refuses the login.
-    """
+    """Raise ImportError if a tracker is not installed, and RuntimeError if it has no login."""
     one_of("tracker", by, Tracking)
     with imports.extra("track", f"{by} is not installed"):
         library: Any = import_module(by)

@@ -73,9 +73,8 @@ function uncovered(level) {
   const { walkers, ...looks } = { ...level.looks };
   const grid = level.grid.map((row) => [...row]);
   const sharing = (walkers ?? []).filter(([x, y, left, look]) => {
-    const what = grid[y]?.[x];
-    if (what !== EMPTY && what !== SAW_HERE) return true;
-    grid[y][x] = (what === EMPTY ? WALKER_LEFT : SAW_AND_LEFT) + (left ? 0 : 1);
+    if (![EMPTY, SAW_HERE].includes(grid[y]?.[x])) return true;
+    grid[y][x] = (grid[y][x] === EMPTY ? WALKER_LEFT : SAW_AND_LEFT) + (left ? 0 : 1);
     const others = carried({ details: looks.details ?? [] }, [x, y]).details;
     looks.details = carried({ details: look ? [...others, [x, y, look]] : others }, null).details;
     return false;
