@@ -179,7 +179,7 @@ def test_episodes_that_never_end_are_measured_up_to_the_longest(monkeypatch):
         assess_policy(*how)
     monkeypatch.setattr(agency, "initial_states", lambda *given: pytest.fail("it compiled"))
     for_ever = ANYWHERE.with_knobs({"time_limit": 2_000_000})
-    with pytest.raises(ValueError, match="last up to 2,000,000 steps: say `longest`"):
+    with pytest.raises(ValueError, match="last up to 2,000,000 steps: lower the variant"):
         play(left, "maze", for_ever, [3], SHIFT)
 
 

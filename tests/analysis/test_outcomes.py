@@ -146,7 +146,7 @@ def test_reports_tell_other_ends_in_tables_and_bars(monkeypatch):
 
 def test_a_data_set_and_a_replay_are_of_lives_without_end_too(tmp_path, monkeypatch):
     monkeypatch.setattr(games, "_registered", {"lava": GAME})
-    with pytest.raises(ValueError, match=r"say `longest`.*or lower the variant's time_limit"):
+    with pytest.raises(ValueError, match=r"lower the variant's time_limit.*or say `longest`"):
         export(always(2), GAME, "for-ever", [0], tmp_path / "set")
     export(always(2), GAME, "for-ever", [0], tmp_path / "set", longest=7)
     (one,) = read_trajectories(tmp_path / "set")
