@@ -145,14 +145,16 @@ class Witness(gymnasium.Wrapper):
         return np.array(told, np.float64)
 
     def _check_seen(self, seen: Any) -> None:
+        if self._shape is None:  # of several parts, as of a Dict
+            return
         shape = seen.shape if isinstance(seen, np.ndarray) else np.shape(seen)
-        if self._shape is not None and shape != self._shape:
+        if shape != self._shape:
             raise ValueError(
                 f"{self._where()}: the observation is of shape {shape}, where the space "
                 f"says {self._shape}"
             )
-        kind = None if self._shape is None else np.asarray(seen).dtype
-        if kind is not None and not np.can_cast(kind, self._kind, "same_kind"):
+        kind = np.asarray(seen).dtype
+        if not np.can_cast(kind, self._kind, "same_kind"):
             raise ValueError(
                 f"{self._where()}: the observation is of {kind}, where the space says {self._kind}"
             )

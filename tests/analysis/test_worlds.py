@@ -15,9 +15,11 @@ from functools import partial
 from types import SimpleNamespace
 from unittest.mock import Mock
 
+import gymnasium
 import numpy as np
 import polars as pl
 import pytest
+from gymnasium import spaces
 
 from astray import acting, games
 from astray.analysis import video
@@ -266,6 +268,43 @@ def test_observations_of_several_parts_without_a_number_are_told():
     for repeats in (False, True):
         with pytest.raises(ValueError, match="level 3, step 3: the observation has NaN"):
             play(Function(first, "first"), troubled("blurred parts", repeats=repeats))
+
+
+class Said(spaces.Space):
+    """A space of one's own, as MiniGrid's missions."""
+
+    def contains(self, x):
+        return isinstance(x, str)
+
+    def __eq__(self, other):
+        return isinstance(other, Said)
+
+
+@pytest.mark.parametrize("workers", [False, True])
+@pytest.mark.parametrize(
+    "space, shown",
+    [
+        (spaces.Tuple((spaces.Box(0, 1, (2, CELLS)), spaces.Discrete(3))), lambda seen: (seen, 2)),
+        (spaces.Dict(room=spaces.Box(0, 1, (2, CELLS)), said=spaces.Text(9)),
+         lambda seen: {"room": seen, "said": "go on"}),
+        (spaces.Sequence(spaces.Discrete(CELLS)), lambda seen: (*range(seen[0].argmax()),)),
+        (Said(), lambda seen: "go on"),
+    ],
+    ids=["tuple", "text", "sequence", "custom"],
+)  # fmt: skip
+def test_observations_of_any_space_are_in_rows(space, shown, workers):
+    def made(**knobs):
+        return gymnasium.wrappers.TransformObservation(Room("anywhere", **knobs), shown, space)
+
+    def choose(seen):
+        parts = [*seen.values()] if isinstance(seen, dict) else seen
+        parts = parts if isinstance(parts, list | tuple) else [parts]
+        (count,) = {len(part) for part in parts}
+        return np.ones(count, int)
+
+    world = replace(WORLD, variants=dict.fromkeys(WORLD.variants, made), workers=workers)
+    told = evaluate(Function(choose, "right"), world, "anywhere", LEVELS, batch=4)
+    assert told.equals(evaluate(RIGHT, WORLD, "anywhere", LEVELS))
 
 
 def play(policy, world):

@@ -80,7 +80,7 @@ class WorldVectorEnv:
             self.states["level"][which] = np.asarray(info[self.game.level_key])[which]
         self._check_numbers(seen)
         self._note(info)
-        return seen, info
+        return _in_rows(self.single_observation_space, seen), info
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step N environments; return arrays [N, ...]. Raise ValueError if an action is invalid."""
@@ -91,7 +91,7 @@ class WorldVectorEnv:
         states["ended"] = taken[2] | taken[3]
         self._check_numbers(taken[0])
         self._note(taken[4])
-        return taken
+        return _in_rows(self.single_observation_space, taken[0]), *taken[1:]
 
     def render(self) -> np.ndarray:
         """Return the images [N, H, W, 3] uint8 of all environments.
@@ -240,12 +240,23 @@ def _forked(makers: Sequence[Callable], variant: WorldVariant) -> AsyncVectorEnv
     signals = (signal.SIGINT, signal.SIGTERM) if is_main else ()
     before = [(number, signal.signal(number, wait)) for number in signals]
     try:
-        return AsyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+        (first := makers[0]()).close()
+        shared = first.observation_space.shape is not None  # texts and graphs have no fixed size
+        return AsyncVectorEnv(makers, shared, autoreset_mode=AutoresetMode.DISABLED)
     finally:
         for number, handler in before:
             signal.signal(number, handler)
         for number in waiting:
             signal.raise_signal(number)
+
+
+def _in_rows(space: spaces.Space, seen: Any) -> Any:
+    """Return observations as arrays of N rows; Gymnasium has texts, graphs and others in tuples."""
+    if isinstance(space, spaces.Dict):
+        return {name: _in_rows(part, seen[name]) for name, part in space.items()}
+    if isinstance(space, spaces.Tuple):
+        return tuple(map(_in_rows, space, seen))
+    return np.fromiter(seen, object, len(seen)) if isinstance(seen, tuple) else seen
 
 
 def _arrays(seen: Any) -> Iterator[np.ndarray]:
