@@ -198,6 +198,31 @@ def test_a_network_draws_its_actions_as_often_as_its_own_library_does():
     assert abs(first.actions[:900].mean() - rate) < wide and abs(own - rate) < wide
 
 
+class Kept(Recurrent):
+    """It says in its logits whether it is being trained."""
+
+    memory = 1
+
+    def recall(self, observation, state, begins):
+        logits = torch.tensor([[0.0, 9.0 * self.training]]).expand(len(state), 2)
+        return logits, state[:, 0], state
+
+
+@pytest.mark.parametrize(
+    "module, ask",
+    [(Kept(), None), (nn.Dropout(), lambda net, x: net(torch.ones(len(x), 200))[:, :2])],
+)
+def test_a_network_that_is_trained_in_the_meantime_plays_without_dropout(module, ask):
+    network = Network(module, SPACE, ask=ask)
+    before = played(network, 4)
+    module.train()
+    assert played(network, 4) == before
+    module.train()
+    seen = np.zeros((3, *SPACE.shape), np.float32)
+    assert network.outputs(seen, episode=True)[0].unique(dim=0).shape == (1, 2)
+    assert not module.training
+
+
 def averaged(agent, seen):
     """Logits of the right shape that are the mean over the batch."""
     return both(agent, seen)[0].mean(0, keepdim=True).expand(len(seen), -1)

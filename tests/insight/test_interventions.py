@@ -2,10 +2,12 @@
 
 from contextlib import nullcontext
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
 
+from astray.analysis.trained import Network
 from astray.games import find
 from astray.insight.activations import activations, layers
 from astray.insight.interventions import ablate, changed, patch, place, resample, steer
@@ -110,6 +112,25 @@ def test_steering_adds_what_a_hand_would_add(tmp_path):
         expected = network.policy(x)
     with steer(agent, {"features.relu1": vector}, -2.0):
         assert agent.outputs(shown)[0].numpy() == pytest.approx(expected.numpy(), abs=1e-5)
+
+
+def test_a_compiled_network_is_steered_and_read_as_its_module_is():
+    body = torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(12, 8), torch.nn.Tanh())
+    inner = torch.compile(body, backend="eager")
+    space, shown = gymnasium.spaces.Box(0, 1, (12,)), np.ones((3, 12), np.float32)
+    found = []
+    for module in (body, inner):
+        agent = Network(torch.nn.Sequential(module, torch.nn.Linear(8, 2)), space)
+        torch.nn.init.constant_(agent.network[1].weight, 0.5)
+        torch.nn.init.constant_(agent.network[1].bias, 0)
+        before = agent.outputs(shown)[0]
+        name = next(name for name in layers(agent) if name.endswith(".2"))
+        with steer(agent, {name: np.ones(8)}):
+            found.append((before, agent.outputs(shown)[0], activations(agent, shown, [name])[name]))
+    (plain, steered, given), compiled = found
+    assert (steered - plain).numpy() == pytest.approx(4, abs=1e-5)
+    for mine, its in zip(compiled, (plain, steered, given), strict=True):
+        assert np.asarray(mine) == pytest.approx(np.asarray(its), abs=1e-5)
 
 
 def test_what_is_nested_adds_up(agent, kind):

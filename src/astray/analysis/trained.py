@@ -57,7 +57,7 @@ def recalled(
     shown, begins = (torch.from_numpy(x).to(device) for x in (turn.observations, turn.begins))
     none = torch.zeros((len(shown), network.memory), device=device)
     state = none if turn.memory is None else torch.where(begins[:, None], none, turn.memory)
-    logits, _, state = policy.outputs(network.recall, shown, chunk, state, begins)
+    logits, _, state = policy.outputs(network.eval().recall, shown, chunk, state, begins)
     return logits, state
 
 
@@ -69,7 +69,7 @@ def in_order(
     begins = torch.arange(len(seen), device=device)[:, None] == 0
     state = torch.zeros((1, network.memory), device=device)
     with torch.no_grad():
-        logits, values, _ = network.unroll(seen, state, begins)
+        logits, values, _ = network.eval().unroll(seen, state, begins)
     return logits[:, 0], values[:, 0]
 
 
@@ -215,7 +215,7 @@ class Network:
 
     Attributes:
         network: Module that returns logits [N, A] for observations [N, ...], or a tuple of logits
-            and values [N]. It is set to evaluation mode. A `Recurrent` one, without `ask`, has a
+            and values [N]. It is asked in evaluation mode. A `Recurrent` one, without `ask`, has a
             memory, and remembers along an episode.
         space: Space of one observation.
         game: Game or `World` that it plays, for analyses that play it.
@@ -259,7 +259,8 @@ class Network:
         Raises:
             ValueError: If the network returns anything else.
         """
-        given = (self.ask or torch.nn.Module.__call__)(self.network, observations)
+        # It may have been trained in the meantime, in which dropout is on.
+        given = (self.ask or torch.nn.Module.__call__)(self.network.eval(), observations)
         parts: tuple[Any, ...] = given if isinstance(given, tuple) else (given,)
         n = len(observations)
         sizes = [list(getattr(part, "shape", ())) for part in parts]

@@ -13,6 +13,7 @@ import io
 import itertools
 import json
 import os
+import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -79,6 +80,8 @@ def hooked(agent: Model, names: Iterable[str], see: Callable[[str, Any], Any]) -
     """Call `see` with the name and output of each named module; its result, if any, replaces it."""
     modules = dict(agent.network.named_modules())
     with contextlib.ExitStack() as stack:
+        if "torch._dynamo" in sys.modules:  # which compiles; compiled code calls no hooks
+            stack.enter_context(torch.compiler.set_stance("force_eager"))
         for name in names:
             hook = modules[name].register_forward_hook(
                 lambda _, __, output, name=name: see(name, output)
