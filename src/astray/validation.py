@@ -46,6 +46,13 @@ def of_kind(name: str, given: Any, kind: Any) -> None:
         raise ValueError(f"{name} must be a {words}; got {shown(given)}")
 
 
+def of_numbers(name: str, given: Any) -> None:
+    """Raise ValueError unless the argument `name` is an array of numbers."""
+    of_kind(name, given, np.ndarray)
+    if given.dtype.kind not in "biuf":
+        raise ValueError(f"{name} must be of numbers; got {shown(given)}")
+
+
 def path_of(name: str, given: Any) -> Path:
     """Return the argument `name` as a path; raise ValueError unless it is one: "" names nothing."""
     if not isinstance(given, str | os.PathLike) or not f"{given}" or "\0" in f"{given}":

@@ -15,7 +15,7 @@ import numpy as np
 from astray import games, imports
 from astray.game import OWN, Game, Missing, Outcome, Shift, check_goals, check_names
 from astray.record import record_dtype
-from astray.validation import brief, finite, of_kind, one_of, shown
+from astray.validation import brief, finite, of_kind, of_numbers, one_of, shown
 
 Env = gymnasium.Env
 Happened = str | Callable[[Any, Mapping[str, Any]], Any]
@@ -215,7 +215,7 @@ class World:
         Raises:
             ValueError: If the observations are not an array, as those of a Dict space.
         """
-        of_kind("what a world shows to be kept", observations, np.ndarray)
+        of_numbers("what a world shows to be kept", observations)
         seen = (SEEN, observations.dtype, observations.shape[1:])
         both = np.zeros(len(states), np.dtype([*states.dtype.descr, seen]))
         for name in states.dtype.names or ():

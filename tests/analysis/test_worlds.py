@@ -334,6 +334,15 @@ def test_observations_of_several_parts_are_no_data_set(tmp_path):
     assert not (tmp_path / "set").exists()
 
 
+def test_observations_of_text_are_no_data_set(tmp_path):
+    def made(**knobs):
+        return gymnasium.wrappers.TransformObservation(Room(**knobs), lambda seen: "go", Said())
+
+    world = replace(WORLD, variants=dict.fromkeys(WORLD.variants, made))
+    with pytest.raises(ValueError, match=r"in a data set must be of numbers; got array\(\['go'"):
+        export(RIGHT, world, "end", [3, 4], tmp_path / "set")
+
+
 def test_actions_of_several_parts_are_refused_before_the_first_step():
     with pytest.raises(ValueError, match=r"actions of room end must be numbers or .*; got Tuple"):
         play(RIGHT, troubled("two answers"))

@@ -34,7 +34,7 @@ from astray.envs.vector import GameVectorEnv, space_of
 from astray.files import check_writable, folder_aside, read, write_aside
 from astray.game import Game, Variant
 from astray.record import count_levels
-from astray.validation import MOST, brief, of_kind, one_of, path_of, shown
+from astray.validation import MOST, brief, of_kind, of_numbers, one_of, path_of, shown
 from astray.world import World, WorldVariant
 
 Format = Literal["parquet", "minari"]
@@ -83,7 +83,7 @@ def trajectories(
     """
     parts: dict[int, list[tuple]] = {}
     for step in steps(policy, game, variant, levels, batch=batch, longest=longest):
-        of_kind("what an environment shows in a data set", step.observations, np.ndarray)
+        of_numbers("what an environment shows in a data set", step.observations)
         for i, level in enumerate(step.level.tolist()):
             kept = step.observations[i].copy(), step.before[i].copy()
             done = np.array(step.actions[i]), float(step.rewards[i])
