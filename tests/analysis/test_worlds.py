@@ -616,7 +616,7 @@ def test_an_ability_that_a_world_lacks_is_told():
     assert not WORLD.solver
 
 
-@pytest.mark.parametrize("knobs", [{}, {"vector": True}])
+@pytest.mark.parametrize("knobs", [{}, {"vector": True}, {"vector": 2}])
 def test_episodes_of_a_world_are_exported_and_read_as_they_were(tmp_path, knobs):
     variant = WORLD.variant("anywhere").with_knobs(knobs)
     folder = export(Random(), WORLD, variant, LEVELS, tmp_path / "data")

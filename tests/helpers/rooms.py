@@ -25,8 +25,9 @@ class Room(gymnasium.Env):
     def __init__(self, place="end", vector=False, trouble=None, render_mode=None):
         self.place, self.trouble = place, trouble
         self.observation_space = gymnasium.spaces.Box(0, 1, (2, CELLS), np.float32)
+        axes = {False: None, True: [2, 3], 2: [[2, 3], [2, 2]]}[vector]
         self.action_space = (
-            gymnasium.spaces.MultiDiscrete([2, 3]) if vector else gymnasium.spaces.Discrete(2)
+            gymnasium.spaces.MultiDiscrete(axes) if axes else gymnasium.spaces.Discrete(2)
         )
         self.render_mode = render_mode
         if trouble == "spaceless":

@@ -188,8 +188,9 @@ def _episode(one: Trajectory, game: Game) -> dict[str, Any]:
 
 def _rows(one: Trajectory) -> pl.DataFrame:
     """Return a row for each state; action and results are null in the last one."""
-    count, number = len(one), pl.Float64 if one.actions.dtype.kind == "f" else pl.Int64
-    kind = number if one.actions.ndim == 1 else pl.List(number)
+    count, kind = len(one), pl.Float64() if one.actions.dtype.kind == "f" else pl.Int64()
+    for _ in one.actions.shape[1:]:
+        kind = pl.List(kind)
     return pl.DataFrame(
         {
             "level": pl.Series([one.level] * (count + 1), dtype=pl.Int64),
@@ -282,7 +283,7 @@ def _trajectories(
 ) -> Iterator[Trajectory]:
     """Yield the episodes in a table of steps; raise ValueError for what `export` does not write."""
     states = np.frombuffer(b"".join(rows["state"]), game.state)
-    seen = np.frombuffer(b"".join(rows["observation"]), kind).reshape(-1, *shape)
+    seen = np.frombuffer(b"".join(rows["observation"]), kind).reshape(len(rows), *shape)
     if not (seen <= largest).all():  # nor is NaN
         raise ValueError("an observation has numbers that it cannot have")
     if variant is not None:
