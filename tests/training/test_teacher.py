@@ -280,7 +280,7 @@ def test_a_resumed_student_of_the_solver_is_the_one_that_was_not_stopped(
         ({"taught": 0.5, "teacher": None}, "taught must be 1.0 without a teacher; got 0.5"),
         ({"lessons": "anywhere", "teacher": None}, "lessons must be episodes without a teacher"),
         ({"lesson_rate": 0.1, "teacher": None}, "lesson_rate must be None without a teacher"),
-        ({"lesson_rate": -1.0}, "lesson_rate must be at least 0; got -1.0"),
+        ({"lesson_rate": -1.0}, "lesson_rate must be from 0 to 1e.38; got -1.0"),
         ({"taught": 2.0}, "taught must be from 0 to 1; got 2.0"),
         ({"variant": "region-4", "validation": None}, "a variant of a shift, which names the goal"),
     ],

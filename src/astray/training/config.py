@@ -129,6 +129,11 @@ class Config:
                 f"{self.num_envs} environments x {self.num_steps} steps = {self.batch} samples "
                 f"are not divided by {self.minibatches} minibatches"
             )
+        if self.batch < 2:
+            raise ValueError(
+                f"a rollout must have 2 samples, by whose spread advantages are normalised; got "
+                f"{self.num_envs} environments x {self.num_steps} steps"
+            )
         if self.fast.groups and self.num_envs % self.fast.groups:
             raise ValueError(
                 f"{self.num_envs} environments are not divided into {self.fast.groups} groups"

@@ -29,7 +29,7 @@ AMOUNTS = (*RATES, "clip", "value_weight", "entropy_weight", "gradient_norm")
 RANGES = (
     {name: (1, MOST) for name in COUNTS}
     | {name: (0, 1) for name in FRACTIONS}
-    | {name: (0, inf) for name in AMOUNTS}
+    | {name: (0, 1e38) for name in AMOUNTS}  # float32 has a little more
     | {"replay": (0.01, 1), "temperature": (0.01, 100), "edits": (1, MOST_EDITS)}
     | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1), "steps": (1, MOST_STEPS)}
 )
@@ -132,8 +132,7 @@ def check(record: Any) -> None:
         _check_type(name, value, kind)
         low, high = RANGES.get(name, (-inf, inf))
         if name in RANGES and value is not None and not low <= value <= high:
-            said = f"at least {low}" if high == inf else f"from {low} to {high}"
-            raise ValueError(f"{name} must be {said}; got {shown(value)}")
+            raise ValueError(f"{name} must be from {low} to {high}; got {shown(value)}")
 
 
 def _check_type(name: str, value: Any, kind: Any) -> None:
