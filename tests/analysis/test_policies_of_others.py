@@ -234,6 +234,11 @@ def dropped(agent, seen):
     return logits + torch.rand_like(logits)
 
 
+def of_lstm(network, seen):
+    """Logits of an LSTM that takes the batch [N, D] for a sequence of N steps."""
+    return network(seen)[0]
+
+
 class Forgetful(Recurrent):
     """It returns one row of logits for the whole batch."""
 
@@ -294,6 +299,10 @@ class Bare(Function):
             "logits that are not finite",
         ),
         (Network(Model(), SPACE, ask=averaged), "change by .* with the others of its batch"),
+        (
+            Network(nn.Sequential(nn.Flatten(), nn.LSTM(2 * CELLS, 2)), SPACE, ask=of_lstm),
+            "change by .* with the others of its batch",
+        ),
         (Network(Model(), SPACE, ask=dropped), "change by .* with every call, as with dropout"),
         (Network(Forgetful(), SPACE), "a network must give 16 rows, one per observation"),
         (Bare(), "what a policy returns must be a Answer; got array"),

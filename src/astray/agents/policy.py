@@ -282,9 +282,10 @@ def check_independent(
         ValueError: If they are not.
     """
     copies = observation.expand(chunk, *observation.shape)
-    change = (outputs(network, copies, chunk)[0][0] - logits).abs().max()
+    # An LSTM without batches takes the rows for steps: the first is right, and the others are not.
+    change = (outputs(network, copies, chunk)[0] - logits).abs().max()
     if change > ROUNDED * logits.abs().max():
-        again = (outputs(network, copies, chunk)[0][0] - logits).abs().max()
+        again = (outputs(network, copies, chunk)[0] - logits).abs().max()
         cause = "the others of its batch" if again == change else "every call, as with dropout"
         raise ValueError(
             f"{name} must give logits that depend on one observation alone; those of the first "
