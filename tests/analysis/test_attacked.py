@@ -361,6 +361,8 @@ def test_modes_and_checkpoints_of_one_run_are_agents_of_their_own(trained):
     named = [f"{trained} at {path.name} steps" for path in (first, last)]
     assert rows([one, greedy])[0] == (named[0], f"{named[1]} (greedy)")
     assert evaluate_runs([first, last], LEVELS).agents == (*named,)
+    with pytest.raises(ValueError, match=r"must be of several trainings; .* checkpoints of one"):
+        evaluate_runs([first, last], LEVELS, pool=True)
 
 
 def test_what_has_a_name_of_its_own_is_counted_by_itself(trained):

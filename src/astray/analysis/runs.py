@@ -1,6 +1,7 @@
 """Evaluation of trained agents beside the base rates of scripted policies."""
 
 import itertools
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -126,7 +127,7 @@ def evaluate_runs(
         solvable: Check that every object can be reached in levels from files.
         longest: Steps after which an episode is truncated; None for no limit.
         rewards: Further rewards of the same episodes, as for `evaluate`.
-        pool: Treat the agents as one kind, in a single row.
+        pool: Treat the agents, each of a training of its own, as one kind, in a single row.
 
     Raises:
         ValueError: If runs differ in kind or occur twice, or there are no levels.
@@ -140,9 +141,13 @@ def evaluate_runs(
     opened = [open_run(run, mode, art) for run in runs]
     config = opened[0][1]
     files = [weights(one.network, one.architecture, one.game) for one, _ in opened]
-    for k, file in enumerate(files):
-        if (first := files.index(file)) < k:  # a duplicate would make intervals too narrow
+    folders_of = [os.path.realpath(one.origin[0]) for one, _ in opened]
+    for k, file in enumerate(files):  # a duplicate would make intervals too narrow
+        if (first := files.index(file)) < k:
             raise ValueError(f"{runs[first]} and {runs[k]} are the same agent; give it once")
+        if pool and (first := folders_of.index(folders_of[k])) < k:
+            told = f"{runs[first]} and {runs[k]} are checkpoints of one"
+            raise ValueError(f"agents in a single row must be of several trainings; {told}")
     for run, (_, other) in zip(runs, opened, strict=True):
         for name in ("game", "variant", "knobs", *(["art"] if art is None else [])):
             if (mine := getattr(config, name)) != (its := getattr(other, name)):
