@@ -21,6 +21,7 @@ from astray.grid.rules import (
     begin_anywhere,
     clear,
     first,
+    is_open,
     mark,
     scatter,
     state,
@@ -72,7 +73,7 @@ def generate(s, p):
 
 @kernel
 def lead(s):
-    """Move the partner one cell towards its next sphere, along x first."""
+    """Move the partner one cell towards its next sphere, along x first, up to a wall."""
     px, py, tx, ty = NEVER, NEVER, NEVER, NEVER
     for y in range(SIDE):
         for x in range(SIDE):
@@ -83,10 +84,10 @@ def lead(s):
     if px == NEVER or tx == NEVER:
         return
     s.mover[py, px] = 0
-    if px != tx:
-        px += np.sign(tx - px)
-    else:
-        py += np.sign(ty - py)
+    x = px + np.sign(tx - px)
+    y = py + np.sign(ty - py) if px == tx else py
+    if is_open(s, x, y):  # edited levels have walls
+        px, py = x, y
     s.mover[py, px] = PARTNER
     if px == tx and py == ty:
         s.visited, s.shows = ORDERS[s.order, s.shows], (s.shows + s.way) % 4

@@ -25,6 +25,14 @@ def test_the_partner_goes_in_the_order_or_in_the_reverse_one(partner, steps, sph
     assert env.states[0].visited == sphere
 
 
+@pytest.mark.parametrize("rows", [("p#r....@",), ("r......@", "#.......", "p.......")])
+def test_the_partner_does_not_walk_into_walls(rows):
+    env = scene("follow", room(8, *rows), "expert")
+    play(env, "stay stay stay stay")
+    game, s = env.game, env.states[0]
+    assert Level.of(game, env.variant, s).where("partner") == [(0, 0)] and s.visited == -1
+
+
 @pytest.mark.parametrize("beneath", ["p", "r", "A"])  # A: the partner on a red sphere
 def test_an_agent_may_stand_on_its_partner_and_on_a_sphere_and_on_both(beneath):
     game = games.find("follow")
