@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
+import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -43,15 +45,23 @@ class WorldVariant:
         raise AttributeError(f"{self.world} {self.name} has no {name!r}")
 
     def with_knobs(self, changes: Mapping[str, Any]) -> WorldVariant:
-        """Return the variant with arguments added; raise ValueError if its factory lacks one."""
+        """Return the variant with arguments added; text that is a number or a word of JSON is it.
+
+        Raises:
+            ValueError: If its factory lacks one.
+        """
         of_kind("knobs", changes, Mapping)
-        knobs = {**self.knobs, **changes}
+        knobs, taken = {**self.knobs, **changes}, {}
         try:
-            inspect.signature(self.factory).bind_partial(**knobs)
+            signature = inspect.signature(self.factory)
+            taken = signature.parameters
+            signature.bind_partial(**knobs)
         except TypeError as error:
             raise ValueError(f"the factory of {self} takes no such knob: {error}") from error
         except ValueError:  # of compiled code, which does not say what it takes
             pass
+        usual = {name: parameter.default for name, parameter in taken.items()}
+        knobs = {n: v if isinstance(usual.get(n), str) else _as_said(v) for n, v in knobs.items()}
         return replace(self, knobs=knobs)
 
     def alike(self, changes: Mapping[str, Any], other: WorldVariant) -> dict[str, Any]:
@@ -106,6 +116,15 @@ class WorldVariant:
     def __str__(self) -> str:
         told = "".join(f", {name}={value}" for name, value in self.knobs.items())
         return f"{self.world} {self.name}{told}"
+
+
+def _as_said(value: Any) -> Any:
+    """Return the number, truth value or None that text says, as of a command line, or the value."""
+    if isinstance(value, str):
+        with contextlib.suppress(ValueError, RecursionError):
+            read = json.loads("null" if value == "None" else value.lower())
+            return value if isinstance(read, str | list | dict) else read
+    return value
 
 
 class Layout(NamedTuple):

@@ -147,6 +147,20 @@ def test_knobs_are_arguments_of_the_factory():
 
 
 @pytest.mark.parametrize(
+    "said, meant", [("0", 0), ("False", False), ("1.5", 1.5), ("None", None), ("8x8", "8x8"),
+                    ("[1]", "[1]"), ("nan", "nan"), ("1" * 5000, "1" * 5000)]
+)  # fmt: skip
+def test_a_knob_is_the_number_or_word_that_its_text_says(said, meant):
+    def made(size=3, name="end", **others):
+        return Room()
+
+    world = replace(WORLD, variants={**WORLD.variants, "end": made})
+    knobs = world.variant("end").with_knobs({"size": said, "name": said, "other": said}).knobs
+    assert knobs == {"size": meant, "name": said, "other": meant}
+    assert type(knobs["size"]) is type(meant)
+
+
+@pytest.mark.parametrize(
     "world, policy, said",
     [
         (troubled("raises"), RIGHT, r"room anywhere, level 3, step 3: its step fails: KeyError"),
