@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -168,6 +169,14 @@ class Config:
         variant = self.training_variant()
         # What text says is the same setting as the value itself.
         object.__setattr__(self, "knobs", {name: getattr(variant, name) for name in self.knobs})
+        for name, value in self.knobs.items():  # of a World they may be anything
+            with contextlib.suppress(TypeError, ValueError):
+                if json.loads(json.dumps(value)) == value:
+                    continue
+            raise ValueError(
+                f"the knob {name!r} of a training must be what a file of JSON gives back: numbers, "
+                f"text, lists, or dictionaries by text; got {shown(value)}"
+            )
         self.find_game().drawn(self.art)
         how = self.sampler.kind, self.teacher
         if self.reward is not None and self.sampler.score == "regret" and how[0] in SCORING:
