@@ -79,6 +79,15 @@ def test_a_recurrent_model_of_sb3_contrib_plays_as_by_hand():
     assert played(from_sb3(model, greedy=True), 3) == hand
 
 
+def test_a_model_that_masks_actions_is_refused():
+    contrib = pytest.importorskip("sb3_contrib")
+    env = Room("anywhere")
+    env.action_masks = lambda: np.ones(2, bool)
+    model = contrib.MaskablePPO("MlpPolicy", env, n_steps=16, device="cpu")
+    with pytest.raises(ValueError, match="so that MaskablePPO would take actions that its masks"):
+        from_sb3(model)
+
+
 def test_the_network_of_a_model_sees_planes_as_the_model_does():
     sb3 = pytest.importorskip("stable_baselines3")
     from astray.envs.sb3 import GameVecEnv

@@ -1,5 +1,6 @@
 """Adapters: functions, models of other libraries, and running trainings as policies."""
 
+import inspect
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -93,8 +94,12 @@ def from_sb3(
         greedy: Take its most likely action instead.
 
     Raises:
-        ValueError: When it is shown observations of a kind or shape that it does not know.
+        ValueError: When it is shown observations of a kind or shape that it does not know, or at
+            once if it masks actions.
     """
+    if "action_masks" in inspect.signature(model.predict).parameters:  # as MaskablePPO
+        told = f"{type(model).__name__} would take actions that its masks forbid"
+        raise ValueError(f"an environment tells no masks here, so that {told}")
     scaler: Any = getattr(model, "get_vec_normalize_env", lambda: None)()
 
     def choose(seen: Any, memory: Any, begins: np.ndarray) -> tuple[np.ndarray, Any]:
