@@ -384,9 +384,10 @@ def _endless(what: str, remedy: str) -> str:
 
 
 def check_policy(policy: Any) -> None:
-    """Raise ValueError unless `policy` is a policy; a function of observations is not."""
+    """Raise ValueError unless `policy` is a policy with a name; a function is not."""
     if isinstance(policy, type) or not all(hasattr(policy, name) for name in POLICY):
         raise ValueError(
             f"a policy must have {', '.join(POLICY)}: load_agent(...) gives one, and "
             f"Function(...) makes one of a function; got {shown(policy)}"
         )
+    of_kind("a policy's name", policy.name, str)

@@ -8,6 +8,7 @@ import stat
 import sys
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -53,6 +54,7 @@ TINY = replace(
 )
 ROOM = World.parse("..\n..")
 LEVELS = range(2)
+NUMBERED = SimpleNamespace(name=5, observation="symbolic", art="own", actions=len)
 
 
 @pytest.fixture(scope="module")
@@ -287,6 +289,7 @@ def reset(**options):
         (lambda: level().where([]), "unknown object"),
         (lambda: Level.from_text(MAZE, SMALL, 5), "a level's drawing must be a str; got 5"),
         (lambda: evaluate(len, "maze", "corner-small", LEVELS), "a policy must have name, obser"),
+        (lambda: rows([NUMBERED]), "a policy's name must be a str; got 5"),
         (lambda: evaluate_policies(["random"], "maze", "corner"), "got 'random'"),
         (lambda: play(None, "maze", "corner-small", 0), "a policy must have name"),
         (lambda: play(Random(), "maze", "corner-small", None), "level must be a int or"),

@@ -114,6 +114,15 @@ def test_steering_adds_what_a_hand_would_add(tmp_path):
         assert agent.outputs(shown)[0].numpy() == pytest.approx(expected.numpy(), abs=1e-5)
 
 
+def test_a_network_of_bfloat16_is_resampled():
+    net = torch.nn.Sequential(torch.nn.Linear(12, 8), torch.nn.Linear(8, 2)).bfloat16()
+    agent = Network(net, gymnasium.spaces.Box(0, 1, (12,)), ask=lambda net, x: net(x.bfloat16()))
+    shown = np.ones((3, 12), np.float32)
+    before = agent.outputs(shown)[0]
+    with resample(agent, "0", activations(agent, shown, ["0"])["0"]):
+        assert (agent.outputs(shown)[0] == before).all()
+
+
 def test_a_compiled_network_is_steered_and_read_as_its_module_is():
     body = torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(12, 8), torch.nn.Tanh())
     inner = torch.compile(body, backend="eager")

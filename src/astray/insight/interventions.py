@@ -155,7 +155,7 @@ def resample(
     pool = torch.from_numpy(np.ascontiguousarray(_given(donors, shape)[:, which]))
 
     def change(x: Tensor) -> Tensor:
-        rows = x.detach().numpy(force=True)
+        rows = x.detach().float().numpy(force=True)  # numpy has no bfloat16
         drawn = [zlib.crc32(row.tobytes(), seed) % len(pool) for row in rows]
         return _with(x, which, pool[drawn])
 
