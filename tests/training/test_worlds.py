@@ -14,6 +14,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import evaluate_runs, load_agent
 from astray.envs.restarting import Restarting, action_table, as_seen
 from astray.experiments import outcomes, spec
+from astray.experiments.keep import keep
 from astray.experiments.run import reproduce
 from astray.experiments.spec import Experiment, Plan
 from astray.training import checkpoint
@@ -202,6 +203,12 @@ def test_where_levels_do_not_repeat_a_resumed_training_begins_episodes_anew(tmp_
     next(iterate(config, tmp_path))
     resumed = next(iterate(config, tmp_path))
     assert resumed.number == 2
+
+
+def test_an_agent_of_a_world_is_not_kept_which_is_told_before_it_is_evaluated(run, tmp_path):
+    with pytest.raises(ValueError, match="agents of games are kept; .* plays the World 'room'"):
+        keep(run, "mouse", folder=tmp_path / "kept", levels=10**9)
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_file_of_settings_imports_no_world():

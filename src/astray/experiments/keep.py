@@ -25,6 +25,7 @@ from astray.training import checkpoint, folders
 from astray.training.config import Config
 from astray.training.log import METRICS
 from astray.validation import path_of
+from astray.world import World
 
 LARGEST = 3_000_000  # bytes of an agent that is kept
 POINTS = 300  # of its curve, at most
@@ -57,6 +58,8 @@ def keep(
         raise ValueError(
             f"the agent is {size / 1e6:.1f} MB; a pretrained one is at most {largest / 1e6:g} MB"
         )
+    if isinstance(config.find_game(), World):  # which another process may not know by its name
+        raise ValueError(f"agents of games are kept; {run} plays the World {config.game!r}")
     source = folders.AgentFolder.of(agent.path)
     named = shift_of(config) if shift is None else shift
     if not (source.path / METRICS).exists():
