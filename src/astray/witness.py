@@ -147,17 +147,15 @@ class Witness(gymnasium.Wrapper):
     def _check_seen(self, seen: Any) -> None:
         if self._shape is None:  # of several parts, as of a Dict
             return
-        shape = seen.shape if isinstance(seen, np.ndarray) else np.shape(seen)
-        if shape != self._shape:
-            raise ValueError(
-                f"{self._where()}: the observation is of shape {shape}, where the space "
-                f"says {self._shape}"
-            )
-        kind = np.asarray(seen).dtype
-        if not np.can_cast(kind, self._kind, "same_kind"):
-            raise ValueError(
-                f"{self._where()}: the observation is of {kind}, where the space says {self._kind}"
-            )
+        array = np.asarray(seen)
+        if array.shape != self._shape:
+            told, space = f"shape {array.shape}", self._shape
+        elif not np.can_cast(array.dtype, self._kind, "same_kind"):
+            told, space = array.dtype, self._kind
+        else:
+            return
+        told = f"the observation is of {told}, where the space says {space}"
+        raise ValueError(f"{self._where()}: {told}")
 
     def _check_flag(self, name: str, flag: Any) -> None:
         # It may be NaN, which is truthy, or text; this takes 3 us.

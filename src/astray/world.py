@@ -51,16 +51,15 @@ class WorldVariant:
             ValueError: If its factory lacks one.
         """
         of_kind("knobs", changes, Mapping)
-        knobs, taken = {**self.knobs, **changes}, {}
+        knobs, usual = {**self.knobs, **changes}, {}
         try:
             signature = inspect.signature(self.factory)
-            taken = signature.parameters
+            usual = {name: one.default for name, one in signature.parameters.items()}
             signature.bind_partial(**knobs)
         except TypeError as error:
             raise ValueError(f"the factory of {self} takes no such knob: {error}") from error
         except ValueError:  # of compiled code, which does not say what it takes
             pass
-        usual = {name: parameter.default for name, parameter in taken.items()}
         knobs = {n: v if isinstance(usual.get(n), str) else _as_said(v) for n, v in knobs.items()}
         return replace(self, knobs=knobs)
 

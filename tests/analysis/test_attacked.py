@@ -364,7 +364,7 @@ def test_modes_and_checkpoints_of_one_run_are_agents_of_their_own(trained):
     named = [f"{trained} at {path.name} steps" for path in (first, last)]
     assert rows([one, greedy])[0] == (named[0], f"{named[1]} (greedy)")
     assert evaluate_runs([first, last], LEVELS).agents == (*named,)
-    with pytest.raises(ValueError, match=r"must be of several trainings; .* checkpoints of one"):
+    with pytest.raises(ValueError, match=r"must be of several trainings; .* are of one"):
         evaluate_runs([first, last], LEVELS, pool=True)
 
 

@@ -129,9 +129,10 @@ def test_a_compiled_network_is_steered_and_read_as_its_module_is():
     space, shown = gymnasium.spaces.Box(0, 1, (12,)), np.ones((3, 12), np.float32)
     found = []
     for module in (body, inner):
-        agent = Network(torch.nn.Sequential(module, torch.nn.Linear(8, 2)), space)
-        torch.nn.init.constant_(agent.network[1].weight, 0.5)
-        torch.nn.init.constant_(agent.network[1].bias, 0)
+        last = torch.nn.Linear(8, 2)
+        torch.nn.init.constant_(last.weight, 0.5)
+        torch.nn.init.constant_(last.bias, 0)
+        agent = Network(torch.nn.Sequential(module, last), space)
         before = agent.outputs(shown)[0]
         name = next(name for name in layers(agent) if name.endswith(".2"))
         with steer(agent, {name: np.ones(8)}):

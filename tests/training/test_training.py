@@ -143,7 +143,7 @@ def test_a_device_that_is_not_there_is_explained(tmp_path):
     [
         ({"steps": 0}, "steps must be from 1 to 1000000000000000; got 0"),
         ({"clip": 1e39}, r"clip must be from 0 to 1e\+38; got 1e\+39"),
-        ({"num_envs": 1, "num_steps": 1, "minibatches": 1}, "must have 2 samples, .* got 1 env"),
+        ({"num_envs": 1, "num_steps": 1, "minibatches": 1}, "must have 2 samples, .* got 1 of 1"),
         ({"minibatches": 7}, "are not divided by 7 minibatches"),
         ({"variant": "cornr"}, "unknown variant 'cornr'"),
         ({"knobs": {"colour": "red"}}, "unknown knob 'colour'; there are"),

@@ -206,7 +206,7 @@ def test_where_levels_do_not_repeat_a_resumed_training_begins_episodes_anew(tmp_
 
 
 def test_an_agent_of_a_world_is_not_kept_which_is_told_before_it_is_evaluated(run, tmp_path):
-    with pytest.raises(ValueError, match="agents of games are kept; .* plays the World 'room'"):
+    with pytest.raises(ValueError, match=r"agents of games are kept; .* plays the World 'room'"):
         keep(run, "mouse", folder=tmp_path / "kept", levels=10**9)
     assert not [*tmp_path.iterdir()]
 

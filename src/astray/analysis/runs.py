@@ -146,8 +146,8 @@ def evaluate_runs(
         if (first := files.index(file)) < k:
             raise ValueError(f"{runs[first]} and {runs[k]} are the same agent; give it once")
         if pool and (first := folders_of.index(folders_of[k])) < k:
-            told = f"{runs[first]} and {runs[k]} are checkpoints of one"
-            raise ValueError(f"agents in a single row must be of several trainings; {told}")
+            told = f"must be of several trainings; {runs[first]} and {runs[k]} are of one"
+            raise ValueError(f"agents in a single row {told}")
     for run, (_, other) in zip(runs, opened, strict=True):
         for name in ("game", "variant", "knobs", *(["art"] if art is None else [])):
             if (mine := getattr(config, name)) != (its := getattr(other, name)):

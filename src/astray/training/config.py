@@ -131,10 +131,8 @@ class Config:
                 f"are not divided by {self.minibatches} minibatches"
             )
         if self.batch < 2:
-            raise ValueError(
-                f"a rollout must have 2 samples, by whose spread advantages are normalised; got "
-                f"{self.num_envs} environments x {self.num_steps} steps"
-            )
+            told = "2 samples, by whose spread advantages are normalised; got 1 of 1 environment"
+            raise ValueError(f"a rollout must have {told}")
         if self.fast.groups and self.num_envs % self.fast.groups:
             raise ValueError(
                 f"{self.num_envs} environments are not divided into {self.fast.groups} groups"
@@ -173,10 +171,8 @@ class Config:
             with contextlib.suppress(TypeError, ValueError):
                 if json.loads(json.dumps(value)) == value:
                     continue
-            raise ValueError(
-                f"the knob {name!r} of a training must be what a file of JSON gives back: numbers, "
-                f"text, lists, or dictionaries by text; got {shown(value)}"
-            )
+            told = "what a file of JSON gives back: numbers, text, lists, or dictionaries by text"
+            raise ValueError(f"the knob {name!r} of a training must be {told}; got {shown(value)}")
         self.find_game().drawn(self.art)
         how = self.sampler.kind, self.teacher
         if self.reward is not None and self.sampler.score == "regret" and how[0] in SCORING:
