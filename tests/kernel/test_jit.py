@@ -208,6 +208,18 @@ class Top:
 class Still:
     def __init__(self, base): self.base = base
 
+FLAGS = {"contract", "nsz", *(("arcp",) if SPEED > 1 else ("ninf",))}
+@numba.njit(locals={"y": getattr(numba, CHOICE["kind"])})
+def given(x):
+    y = x
+    return y
+@numba.njit(fastmath=FLAGS)
+def roughly(x): return x / 3
+@numba.njit(f"{CHOICE['kind']}({CHOICE['kind']})")
+def converted(x): return x
+@numba.vectorize([f"{CHOICE['kind']}({CHOICE['kind']})"])
+def each_converted(x): return x
+
 def faster(by):
     @kernel
     def fast(x): return by * x
@@ -255,6 +267,14 @@ def fixes(x): return Fixed.fixed(x)
 def tops(x): return Top(x).top
 @entry
 def stills(x): return Still(x).base
+@entry
+def local(x): return given(x)
+@entry
+def rough(x): return roughly(x)
+@entry
+def conversion(x): return converted(x)
+@entry
+def conversions(x): return each_converted(x)
 """
 
 OTHER = """
@@ -286,6 +306,10 @@ def often(x): return sum([{} * x for _ in range(2)])
         pytest.param("fixes", {"speed": 2}, marks=COMPILED),
         pytest.param("tops", {"speed": 2}, marks=COMPILED),
         pytest.param("stills", {"kind": "float32"}, marks=COMPILED),
+        pytest.param("local", {"kind": "float32"}, marks=COMPILED),
+        pytest.param("rough", {"speed": 2}, marks=COMPILED),
+        pytest.param("conversion", {"kind": "float32"}, marks=COMPILED),
+        pytest.param("conversions", {"kind": "float32"}, marks=COMPILED),
     ],
 )
 def test_what_compiled_code_keeps_is_in_its_digest(of, changed, tmp_path, monkeypatch):

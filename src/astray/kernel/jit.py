@@ -94,6 +94,8 @@ def _frozen(name: Any, function: FunctionType, passed: set[FunctionType]) -> Ite
                     parts = (kind.jit_methods, kind.jit_static_methods, *kind.jit_props.values())
                     each += [method for methods in parts for method in methods.values()]
                 for called in each:
+                    if how := _how(called):
+                        yield name, at, *how
                     called = inspect.unwrap(getattr(called, "py_func", called))
                     package = f"{getattr(called, '__module__', '')}".partition(".")[0]
                     if isinstance(called, FunctionType) and package not in provenance.LIBRARIES:
@@ -102,6 +104,17 @@ def _frozen(name: Any, function: FunctionType, passed: set[FunctionType]) -> Ite
                     scopes.append(vars(one))
                 elif isinstance(one, VALUES):
                     yield name, at, _kept(one)
+
+
+def _how(called: Any) -> tuple[Any, ...]:
+    """Return numba's options for a function, and the types that are declared for it."""
+    one = getattr(called, "_dispatcher", called)  # of what is vectorized
+    if not hasattr(one, "targetoptions"):
+        return ()
+    options = {n: sorted(x) if isinstance(x, set) else x for n, x in one.targetoptions.items()}
+    if getattr(called, "_can_compile", True) and not getattr(called, "_frozen", False):
+        return options, one.locals
+    return options, one.locals, called.types if one is not called else called.nopython_signatures
 
 
 @functools.lru_cache(1)
