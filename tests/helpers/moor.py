@@ -1,7 +1,8 @@
 """A stranger's world of cells in which chance decides more than cells show.
 
 Every level has a luck of its own, which no cell tells; steps draw, and the generator seeds no
-twister for them. A stride of 2 jumps over a cell.
+twister for them. A stride of 2 jumps over a cell. Some names are of what every object of
+JavaScript has.
 """
 
 import sys
@@ -19,19 +20,20 @@ from astray.record import NEVER
 SIDE = 5  # cells
 BOG, STONE, CHEESE = 2, 3, 4
 EVENTS = ("reached_cheese", "sank")
-STATE = state(SIDE, EVENTS, "luck", "wide", "stride", "rain")
+STATE = state(SIDE, EVENTS, "luck", "wide", "stride", "rain", "constructor")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Moor(Variant):
     bogs: Annotated[int, (0, 8)] = 4
     stride: Annotated[int, (1, 3)] = 1  # cells that a step moves
+    valueOf: int = 0  # by which it rains more
     time_limit: int = 40  # steps
 
 
 @kernel
 def furnish(s, p):
-    s.luck, s.wide, s.stride, s.rain = below(s, 1000), 2**60 + below(s, 1000), p.stride, 0
+    s.luck, s.wide, s.stride, s.rain = below(s, 1000), 2**60 + below(s, 1000), p.stride, p.valueOf
     s.reached_cheese = s.sank = NEVER
 
 
@@ -52,7 +54,7 @@ def step(s, action):
         walk(s, action)
         if s.cell[s.y, s.x] == STONE:
             s.x, s.y = x, y
-    s.rain = below(s, 100) + s.wide % 1000
+    s.rain = below(s, 100) + s.wide % 1000 + s.constructor
     if s.cell[s.y, s.x] == BOG:
         s.sank = first(s, s.sank)
     found = s.cell[s.y, s.x] == CHEESE and below(s, 1000) < s.luck
@@ -82,4 +84,5 @@ GAME = grid.world(
     shifts={"jumps": Shift("walks", "jumps", "cheese", ("bog",))},
     seek={"cheese": grid.nearest(CHEESE), "bog": grid.nearest(BOG)},
     stood=";",
+    level_fields={"constructor": 2},
 )

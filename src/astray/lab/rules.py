@@ -81,7 +81,7 @@ def module(game: Game) -> str:
         "fields": {name: game.state[name].shape for name in game.state.names or ()},
         "shown": shown_fields(game), "LEGEND": editing.LEGEND, "STOOD_ON": editing.STOOD_ON,
         "objects": {name: editing.LEGEND[char] for name, char in editing.OBJECTS.items()},
-        "choices": {name: those for name, kind in choices if (those := typing.get_args(kind))},
+        "choices": {name: typing.get_args(kind) or None for name, kind in choices},
         "within": places.within, "offset": places.offset, "at_rest": places.at_rest,
     }  # fmt: skip
     if world:

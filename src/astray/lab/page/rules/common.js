@@ -42,7 +42,7 @@ export function rulesOf(game, { build, contents, open, planes, reach }) {
       const p = Object.fromEntries(Object.entries(variant).map(number));
       const s = Object.fromEntries(Object.entries(game.fields).map(([name, shape]) => [name, zeros(shape)]));
       s.time_limit = p.time_limit;
-      build(s, p, { grid, cell, looks });
+      build(s, p, { grid, cell, looks: { __proto__: null, ...looks } });
       return s;
     },
     // Sets what cells and looks do not decide of a numbered level, as the file of levels has it.
