@@ -204,6 +204,19 @@ def swap(x, y):
 def third(x):
     return x / np.float32(3)
 
+@numba.njit(locals={"y": numba.int8})
+def narrow(x):
+    y = x + 1
+    return y
+
+@numba.njit("uint8(int64)")
+def low(x):
+    return x
+
+@numba.njit(["float32(float32)", "int64(int64)"])
+def square(x):
+    return x * x
+
 @numba.njit
 def down(n):
     if n > 0:
@@ -280,6 +293,9 @@ AS_COMPILED = {  # of few bits, in which interpreted ones are refused or differ
     "return REALS[0] * REALS[1] * third(s.f)": 0.007000000216066837,
     "return REAL[0] * s.f": 0.030000001192092896,
     "x = np.float32(s.a)\n x = s.a + 0.1\n return x": 0.1,
+    # of declared types, to which numbers are converted
+    "return low(s.a + 259), narrow(s.a + 2**62)": [3, 1],
+    "return square(s.f), square(s.u + 3), square(s.i)": [0.09000000357627869, 9, 0],
 }
 ENDLESS = numba.njit(error_model="numpy")(lambda s: 1 / s.a)  # Python's model would raise
 RUN = """async () => {
@@ -359,6 +375,10 @@ RAISES = {
     "return 1 // s.a": "ZeroDivisionError: integer division by zero",
     "raise ValueError('no key', s.b[0])": "ValueError",
     "s.b[:] = np.empty(s.a + 2)\n return 1": "ValueError: an array must be",
+    # which machines convert to other numbers
+    "s.u = s.a - 1.0\n return 1": "ValueError: a real number must be one that uint8 can hold",
+    "return int(s.a + 1e308 * 10)": "ValueError: a real number must be one that int64 can hold",
+    "s.row[:] = s.f * 1000\n return 1": "ValueError: a real number must be one that uint8 can hold",
     "x, y = np.empty(2**29), np.empty(3)\n x[4], y[0] = 5, 7\n return x[4]": "WebAssembly.Memory",
 }
 
@@ -381,6 +401,8 @@ REFUSED = {
     "return 2j": "a page must have real numbers from ask0, .*; got complex128",
     "return down(s.a)": "ask0 must be compiled .* a page has no recursion",
     "return unheard": "ask0 must be compiled for a page without Python: .*'unheard'",
+    "return len({s.a, 3})": "ask0: a page without Python has no NRT_MemInfo_varsize_alloc",
+    "a, *b = TABLE\n return len(b)": "ask0 must be compiled for a page without Python: .*UNPACK_EX",
     "return CALLED(2.0)": "ask0 must be compiled .* of type .ExternalFunction",
     "return LARGE[s.a]": "rules of a page must be at most 1048576 bytes; got [0-9]{7}",
 }

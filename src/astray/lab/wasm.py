@@ -25,7 +25,6 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.cpu import CPUContext, CPUTargetOptions
 from numba.core.descriptors import TargetDescriptor
 from numba.core.dispatcher import Dispatcher
-from numba.core.errors import NumbaError
 from numba.core.registry import cpu_target
 from numba.core.typing.context import Context
 
@@ -34,7 +33,7 @@ from astray.kernel.jit import code_digest, code_folder
 from astray.kernel.stored import Stored
 
 NAME = "wasm"  # of the target, in numba
-TRIPLE, FEATURES = "wasm32-unknown-unknown", "+bulk-memory,+nontrapping-fptoint,+sign-ext"
+TRIPLE, FEATURES = "wasm32-unknown-unknown", "+bulk-memory,-nontrapping-fptoint,+sign-ext"
 # What the page gives to modules, in `page/rules/memory.js`, besides memory and stack.
 GIVEN = {
     "__multi3", "fmod", "fmodf", "numba_attempt_nocopy_reshape", "NRT_Allocate", "NRT_Free",
@@ -125,6 +124,18 @@ class _Context(CPUContext):
         """Keep an array without gaps, as its data are: numba keeps the strides of views."""
         return super().make_constant_array(builder, typ, ary.copy("A"))
 
+    def cast(self, builder: Any, val: Any, fromty: types.Type, toty: types.Type) -> Any:
+        """Raise an error in a page where a real number does not fit an integer: machines differ."""
+        if isinstance(fromty, types.Float) and isinstance(toty, types.Integer):
+            whole = builder.call(builder.module.declare_intrinsic("llvm.trunc", [val.type]), [val])
+            least, beyond = map(val.type, (float(toty.minval), float(toty.maxval + 1)))
+            low = builder.fcmp_unordered("<", whole, least)  # or NaN
+            high = builder.fcmp_unordered(">=", whole, beyond)
+            with cgutils.if_unlikely(builder, builder.or_(low, high)):
+                said = f"a real number must be one that {toty} can hold"
+                self.call_conv.return_user_exc(builder, ValueError, (said,))
+        return super().cast(builder, val, fromty, toty)
+
     def call_unresolved(self, builder: Any, name: str, sig: Any, args: Any) -> Any:
         raise NotImplementedError("a page has no recursion")
 
@@ -150,20 +161,25 @@ class _Typing(Context):
         except ValueError:  # of a function that is not compiled, as where numba is switched off
             if not isinstance(val, FunctionType):
                 raise
-            return self._kernel(val, val, {})
+            return self._kernel(val, val)
         if isinstance(found, types.Dispatcher) and not isinstance(found.dispatcher, _Dispatcher):
-            one = found.dispatcher
-            return self._kernel(one, one.py_func, one.targetoptions)
+            return self._kernel(found.dispatcher, found.dispatcher.py_func)
         return found
 
-    def _kernel(self, key: Any, function: Any, options: Mapping[str, Any]) -> types.Dispatcher:
+    def _kernel(self, one: Any, function: Any) -> types.Dispatcher:
+        options = getattr(one, "targetoptions", {})
         if options.get("fastmath"):
             said = "has fastmath, whose results differ between machines"
             raise NotImplementedError(f"{function.__name__} {said}")
-        if key not in self.kernels:
-            self.kernels[key] = types.Dispatcher(made := _Dispatcher(function, options))
-            self.kernels[made] = self.kernels[key]  # the type alone would not keep it
-        return self.kernels[key]
+        if one not in self.kernels:
+            made = _Dispatcher(function, options | {"locals": getattr(one, "locals", None)})
+            # also of `made`, which the type alone would not keep
+            self.kernels[one] = self.kernels[made] = types.Dispatcher(made)
+            if not getattr(one, "_can_compile", True):  # numbers are converted to declared types
+                for signature in one.nopython_signatures:
+                    made.compile(signature)
+                made.disable_compile()
+        return self.kernels[one]
 
 
 def _misshapen(_shapes: Any, _others: Any) -> None:
@@ -187,9 +203,9 @@ class _Dispatcher(Dispatcher):
 
     def __init__(self, function: Any, options: Mapping[str, Any]):
         # numba's own functions name a target; and here is no cache
-        kept = {name: of for name, of in options.items() if name not in ("target", "cache")}
+        kept = {n: of for n, of in options.items() if n not in ("target", "cache", "locals")}
         alone = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        super().__init__(function, targetoptions=kept | alone)
+        super().__init__(function, options.get("locals"), targetoptions=kept | alone)
 
     def add_overload(self, cres: Any) -> None:
         self.overloads[tuple(cres.signature.args)] = cres
@@ -250,8 +266,9 @@ def _compile(name: str, kernel: Any, takes: tuple[types.Type, ...], context: Any
     try:
         with target_extension.target_override(NAME):  # also of what numba asks for later
             made: Any = context.typing_context.resolve_value_type(kernel).dispatcher
-            made.compile(takes)
-    except (NumbaError, NotImplementedError) as error:
+            if takes not in made.overloads:
+                made.compile(takes)
+    except Exception as error:  # numba raises nearly anything for what it cannot compile
         said = " ".join(COLOURS.sub("", str(error)).split())[:300]
         raise ValueError(f"{name} must be compiled for a page without Python: {said}") from None
     return made.overloads[takes]
