@@ -9,6 +9,7 @@ from astray import games, grid
 from astray.envs.vector import GameVectorEnv
 from astray.games import lavaland
 from astray.grid import abilities
+from astray.grid.looks import SHARED, drawing
 from astray.level import Level
 from helpers.scenes import play, room, scene
 
@@ -34,6 +35,11 @@ def test_a_picture_shows_things_and_the_agent_on_the_floor():
     bare = cells[0, 0]
     shown = np.abs(cells - bare).sum(-1) > 30
     assert np.argwhere(shown).tolist() == [[6, 1], [7, 0], [7, 1], [7, 3]]
+
+
+def test_a_missing_picture_is_looked_for_in_the_world_s_own_folder(tmp_path):
+    assert drawing(tmp_path, "cheese") == SHARED / "cheese.svg"
+    assert drawing(tmp_path, "trumpet") == tmp_path / "trumpet.svg"
 
 
 def test_scripts_walk_around_hazards_and_stay_where_nothing_can_be_reached():

@@ -113,7 +113,7 @@ def looks(folder: Path, side: int, kinds: Sequence[str], agents: Sequence[str]) 
 def drawing(folder: Path, name: str) -> Path:
     """Return the SVG file of a thing: in `folder`, or else shared by all worlds."""
     name = "wall-grid" if name == "wall" else name
-    there = folder if (folder / f"{name}.png").is_file() else SHARED
+    there = next((at for at in (folder, SHARED) if (at / f"{name}.png").is_file()), folder)
     return there / f"{name}.svg"
 
 
