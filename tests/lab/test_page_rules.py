@@ -293,6 +293,8 @@ AS_COMPILED = {  # of few bits, in which interpreted ones are refused or differ
     "return REALS[0] * REALS[1] * third(s.f)": 0.007000000216066837,
     "return REAL[0] * s.f": 0.030000001192092896,
     "x = np.float32(s.a)\n x = s.a + 0.1\n return x": 0.1,
+    # which wrap around
+    "s.u = s.a + 200\n return max(0.5, 2**56 * s.u)": 0.5,
     # of declared types, to which numbers are converted
     "return low(s.a + 259), narrow(s.a + 2**62)": [3, 1],
     "return square(s.f), square(s.u + 3), square(s.i)": [0.09000000357627869, 9, 0],

@@ -58,7 +58,13 @@ class _WebAssembly(target_extension.CPU):
 
 
 class _Library(CPUCodeLibrary):
-    """Code that is optimised once, when all of a module is linked."""
+    """Code that is optimised once, when all of a module is linked; its integers wrap around."""
+
+    def add_ir_module(self, ir_module: ir.Module) -> None:
+        for block in (one for function in ir_module.functions for one in function.blocks):
+            for done in block.instructions:
+                done.flags = [flag for flag in done.flags if flag != "nsw"]
+        super().add_ir_module(ir_module)
 
     def _optimize_final_module(self) -> None:
         pass
