@@ -66,6 +66,12 @@ def test_code_that_another_function_made_has_what_it_was_made_of_in_its_digest(m
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_types_that_are_declared_are_in_the_digest(module):
+    plain, narrow = (numba.njit(locals=x)(module.step_one) for x in ({}, {"x": numba.int8}))
+    assert code_digest(plain) != code_digest(narrow) and digest_with(plain) != digest_with(narrow)
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_only_its_own_values_keep_code_from_files(module):
     assert not isinstance(entry(module.made(1))._cache, Stored)
     assert isinstance(specialise(loops.run, "", step=module.made(1))._cache, Stored)

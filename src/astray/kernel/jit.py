@@ -54,7 +54,8 @@ def code_digest(function: Any) -> str | None:
         16 hexadecimal digits, or None if the dependencies are unknown: the function has no file,
         as in a notebook.
     """
-    told, called = [], set()
+    bound, called = getattr(function, "bound", {}).values(), set()
+    told = [how for one in (function, *bound) for how in _how(one)]
     for name, part in _parts("", function):
         is_function = isinstance(part, FunctionType)
         told.extend(_frozen(name, part, called) if is_function else [(name, part)])
