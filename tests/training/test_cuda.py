@@ -3,6 +3,7 @@
 import contextlib
 import shutil
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -118,9 +119,14 @@ def test_a_communicator_ends_after_the_graphs_that_use_it(fails, tmp_path, monke
     said = []
     monkeypatch.setenv("LOCAL_RANK", "3")
     monkeypatch.setattr(parallel.dist, "is_torchelastic_launched", lambda: True)
+    monkeypatch.setattr(parallel, "_met", lambda: (torch.distributed.HashStore(), 0, 1))
     monkeypatch.setattr(torch.cuda, "set_device", lambda gpu: said.append(str(gpu)))
+
+    def note(name, *_, device_id=None, **_options):
+        said.append((name, device_id))
+
     for name in ("init_process_group", "destroy_process_group"):
-        monkeypatch.setattr(parallel.dist, name, lambda *x, name=name, **y: said.append((name, y)))
+        monkeypatch.setattr(parallel.dist, name, partial(note, name))
     if fails:
         monkeypatch.setattr(checkpoint, "save", lambda *_: 1 / 0)
     with (
@@ -128,8 +134,8 @@ def test_a_communicator_ends_after_the_graphs_that_use_it(fails, tmp_path, monke
         pytest.raises(ZeroDivisionError) if fails else contextlib.nullcontext(),
     ):
         train(replace(GRAPHS, steps=256), tmp_path, progress=False)
-    begun = ["cuda:3", ("init_process_group", {"device_id": torch.device("cuda:3")})]
-    assert said == (begun if fails else [*begun, ("destroy_process_group", {})])
+    begun = ["cuda:3", ("init_process_group", torch.device("cuda:3"))]
+    assert said == (begun if fails else [*begun, ("destroy_process_group", None)])
     assert [bool(graph.calls) for graph in pretended.graphs] == [True, False]
 
 

@@ -72,12 +72,14 @@ def test_two_processes_learn_what_one_does(runs):
 
 
 @pytest.mark.thorough
-def test_two_processes_of_torchrun_learn_what_one_does(runs, tmp_path):
+def test_two_processes_of_torchrun_learn_what_one_does_twice(runs, tmp_path):
+    """The second training met where nobody listened any more, and ended in an error."""
     words = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node"]
-    words += ["2", "-m", "helpers.parallel", str(tmp_path / "two")]
+    words += ["2", "-m", "helpers.parallel", str(tmp_path / "two"), str(tmp_path / "again")]
     done = subprocess.run(words, env=environment(), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     compare(runs[0], tmp_path / "two")
+    compare(tmp_path / "two", tmp_path / "again")
 
 
 def test_they_tell_what_one_tells(runs):

@@ -7,7 +7,9 @@ has equally many samples of every process.
 """
 
 import contextlib
+import functools
 import importlib
+import itertools
 import os
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -16,6 +18,17 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch import distributed as dist
+
+TRAININGS = itertools.count()  # of this process, and equally many of each other
+
+
+@functools.cache
+def _met() -> tuple[Any, int, int]:
+    """Return what all processes read and write, this one's number, and how many they are.
+
+    Each training has a part of its own: from one before come addresses where nobody listens now.
+    """
+    return next(dist.rendezvous("env://"))  # pyright: ignore
 
 
 @contextlib.contextmanager
@@ -33,7 +46,11 @@ def processes(device: str) -> Iterator[None]:
     # process when that ends.
     importlib.import_module("torch.distributed.nn.functional")
     try:
-        dist.init_process_group("nccl" if gpu else "gloo", device_id=gpu)
+        store, rank, count = _met()
+        part = dist.PrefixStore(f"astray-{next(TRAININGS)}", store)  # pyright: ignore
+        dist.init_process_group(
+            "nccl" if gpu else "gloo", store=part, rank=rank, world_size=count, device_id=gpu
+        )
     except ValueError as error:
         raise ValueError(
             "RANK, WORLD_SIZE, MASTER_ADDR and MASTER_PORT must be as torchrun sets them in the "
