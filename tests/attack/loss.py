@@ -18,9 +18,6 @@ WRITERS: dict[str, str] = {  # what each writes, as the folder or file that is n
     "agency": "there", "export": "there", "lab": "there", "reproduce": "there", "sweep": "there",
     "explain": "there", "distil": "there",
 }  # fmt: skip
-OPTION = {"train": "folder", "keep": "folder", "record": "out", "evaluate": "out", "agency": "out",
-          "export": "out", "lab": "export", "reproduce": "folder", "sweep": "folder",
-          "explain": "out", "distil": "folder"}  # fmt: skip
 Lay = Callable[[Place, Path], Any]
 
 
@@ -91,7 +88,7 @@ LAID: dict[str, Lay] = {
 
 
 def _write(verb: str, to: str, lay: Lay, place: Place) -> Told:
-    given = words.with_option(words.words_of(verb, place), OPTION[verb], place.work / to)
+    given = words.with_option(words.words_of(verb, place), words.writes(verb), place.work / to)
     lay(place, place.work / to)
     place.watch()
     return place.astray(verb, *given)

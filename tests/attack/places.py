@@ -13,12 +13,10 @@ from typing import Any
 from attack import words
 from attack.core import INTERRUPTED, MISTAKE, UNREAD, Attempt, Place, Told, Wrong
 
-# What writes, and where to: the verb, and its option.
-WRITERS = {
-    "train": "folder", "evaluate": "out", "record": "out", "export": "out", "agency": "out",
-    "keep": "folder", "reproduce": "folder", "lab": "export", "explain": "out", "distil": "folder",
-    "sweep": "folder",
-}  # fmt: skip
+WRITERS = (
+    "train", "evaluate", "record", "export", "agency", "keep", "reproduce", "lab", "explain",
+    "distil", "sweep",
+)  # fmt: skip
 OUT = {"evaluate": "there.parquet", "record": "there.mp4"}
 LEVEL = ("level", "maze", "corner-small", "--levels", "0:500")
 
@@ -41,7 +39,7 @@ def attempts() -> Iterator[Attempt]:
 
 
 def _words(verb: str, to: Path, place: Place) -> list[Any]:
-    given = words.with_option(words.words_of(verb, place), WRITERS[verb], to)
+    given = words.with_option(words.words_of(verb, place), words.writes(verb), to)
     return [verb, *given]
 
 

@@ -38,6 +38,11 @@ def words_of(verb: str, place: Place) -> list[Any]:
     }[verb]  # fmt: skip
 
 
+def writes(verb: str) -> str:
+    """The option of a verb that says where to write."""
+    return "export" if verb == "lab" else "out"
+
+
 def options_of(verb: str) -> list[tuple[str, str, bool]]:
     """The options of a verb: name on the command line, its type in words, whether positional."""
     apart = kinds() if verb in ("train", "sweep") else ()  # they are tried by themselves
