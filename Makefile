@@ -55,7 +55,7 @@ fuzz: $(INSTALLED)
 	cd tests && NUMBA_DISABLE_JIT=1 ../$(BIN)/python -m helpers.golden --steps 100
 	cat fuzz.jsonl
 
-# Some 5,400 attempts to lose a user's data, to crash, to hang, to be silent; half an hour or more.
+# Some 8,800 attempts to lose a user's data, to crash, to hang, to be silent; a quarter of an hour.
 attack: $(INSTALLED)
 	cd tests && ../$(BIN)/python -m attack ../attacked --kept ../attacked/kept
 
