@@ -19,7 +19,7 @@ MOST = 2**31 - 1  # of a knob, and of what is counted
 AT_ONCE = 10_000_000  # numbers of a range that are written out
 NUMBERS = int | float | np.integer | np.floating
 UNCOUNTED = bool | np.bool_ | np.timedelta64  # that are integers to Python or numpy
-types_of = functools.cache(typing.get_type_hints)  # of fields: it takes longer than their checks
+types_of = functools.cache(typing.get_type_hints)  # of fields, whose checks take less time
 
 
 def bounded(name: str, given: Any, least: float, most: float) -> None:

@@ -45,7 +45,9 @@ class WorldVariant:
         raise AttributeError(f"{self.world} {self.name} has no {name!r}")
 
     def with_knobs(self, changes: Mapping[str, Any]) -> WorldVariant:
-        """Return the variant with arguments added; text that is a number or a word of JSON is it.
+        """Return the variant with arguments added.
+
+        Text of a number, of true, false or None is that value, unless the default is text, too.
 
         Raises:
             ValueError: If its factory lacks one.

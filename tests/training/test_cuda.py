@@ -119,7 +119,7 @@ def test_a_communicator_ends_after_the_graphs_that_use_it(fails, tmp_path, monke
     said = []
     monkeypatch.setenv("LOCAL_RANK", "3")
     monkeypatch.setattr(parallel.dist, "is_torchelastic_launched", lambda: True)
-    monkeypatch.setattr(parallel, "_met", lambda: (torch.distributed.HashStore(), 0, 1))
+    monkeypatch.setattr(parallel, "_store", lambda: (torch.distributed.HashStore(), 0, 1))
     monkeypatch.setattr(torch.cuda, "set_device", lambda gpu: said.append(str(gpu)))
 
     def note(name, *_, device_id=None, **_options):

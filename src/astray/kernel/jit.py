@@ -108,7 +108,10 @@ def _frozen(name: Any, function: FunctionType, passed: set[FunctionType]) -> Ite
 
 
 def _how(called: Any) -> tuple[Any, ...]:
-    """Return numba's options for a function, and the types that are declared for it."""
+    """Return numba's options for a function, and the types that are declared for it.
+
+    Signatures count only where no others are compiled: else they are those that were asked for.
+    """
     one = getattr(called, "_dispatcher", called)  # of what is vectorized
     if not hasattr(one, "targetoptions"):
         return ()

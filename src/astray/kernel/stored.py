@@ -134,7 +134,8 @@ class Stored(Cache):
 
     def _save_text(self, text: str) -> None:
         self._impl.locator.ensure_cache_path()
-        self._cache_file.save("", text)
+        with self._guard_against_spurious_io_errors():
+            self._cache_file.save("", text)
 
     def _save(self, write: Callable, *what: Any) -> None:
         if not Stored.writes or not self._folder():

@@ -19,14 +19,15 @@ import torch
 from torch import Tensor
 from torch import distributed as dist
 
-TRAININGS = itertools.count()  # of this process, and equally many of each other
+TRAININGS = itertools.count()  # all processes count the same
 
 
 @functools.cache
-def _met() -> tuple[Any, int, int]:
-    """Return what all processes read and write, this one's number, and how many they are.
+def _store() -> tuple[Any, int, int]:
+    """Return the store by which the processes find each other, this one's rank, and their number.
 
-    Each training has a part of its own: from one before come addresses where nobody listens now.
+    It is opened once. Each training has its own keys in it, as those of an earlier one hold
+    addresses at which nobody listens any more.
     """
     return next(dist.rendezvous("env://"))  # pyright: ignore
 
@@ -46,10 +47,10 @@ def processes(device: str) -> Iterator[None]:
     # process when that ends.
     importlib.import_module("torch.distributed.nn.functional")
     try:
-        store, rank, count = _met()
-        part = dist.PrefixStore(f"astray-{next(TRAININGS)}", store)  # pyright: ignore
+        store, rank, count = _store()
+        keys = dist.PrefixStore(f"astray-{next(TRAININGS)}", store)  # pyright: ignore
         dist.init_process_group(
-            "nccl" if gpu else "gloo", store=part, rank=rank, world_size=count, device_id=gpu
+            "nccl" if gpu else "gloo", store=keys, rank=rank, world_size=count, device_id=gpu
         )
     except ValueError as error:
         raise ValueError(
