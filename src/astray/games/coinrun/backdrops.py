@@ -44,20 +44,16 @@ def _render(k: int, height: int, width: int) -> np.ndarray:
         return _space(k - KINDS * LIGHTS, up, across)
     kind, light = k // LIGHTS, k % LIGHTS
     top, horizon, near = PALETTES[light]
-    which = np.zeros((height, width), np.uint8)
     layers = LANDSCAPES[kind](across, 1000 * k)
-    for layer, heights in enumerate(layers, 1):
-        np.copyto(which, layer, where=up[:, None] < heights)
     haze = np.linspace(0.35, 1, len(layers))[:, None]
-    colours = np.concatenate([np.zeros((1, 3)), horizon + (near - horizon) * haze])
-    picture = colours.astype(np.uint8)[which]
     fraction = np.clip(up / HIGH, 0, 1)[:, None]
     sky = (horizon + (top - horizon) * fraction).astype(np.uint8)
-    is_sky = which == 0
-    np.copyto(picture, sky[:, None], where=is_sky[..., None])
-    pale = is_sky & _clouds(across, up, k)
-    picture[pale] = (picture[pale].astype(np.uint16) * 2 + 255) // 3
-    return picture
+    cloud = (sky.astype(np.uint16) * 2 + 255) // 3
+    colours = np.concatenate([sky, cloud, horizon + (near - horizon) * haze]).astype(np.uint8)
+    which = np.arange(height)[:, None] + height * _clouds(across, up, k)  # of the colours
+    for layer, heights in enumerate(layers):
+        np.copyto(which, 2 * height + layer, where=up[:, None] < heights)
+    return colours.take(which, 0)
 
 
 def _hash(seed: int, count: int) -> np.ndarray:
@@ -140,9 +136,10 @@ def _clouds(across: np.ndarray, up: np.ndarray, k: int) -> np.ndarray:
     for (x, y, _), big in zip(where, size, strict=True):
         for shift in (-1.2, 0, 1.3):
             away = np.abs(across - x * WIDE - shift * (1 + big))
-            away = np.minimum(away, WIDE - away)[None] / (1.6 + big)
+            away = np.minimum(away, WIDE - away) / (1.6 + big)
             high = np.abs(up - 17 - 13 * y)[:, None] / (0.6 + 0.4 * big)
-            clouds |= away * away + high * high < 1
+            disc = np.ix_(high[:, 0] < 1, away < 1)  # all is far from most
+            clouds[disc] |= away[disc[1]] ** 2 + high[disc[0], 0] ** 2 < 1
     return clouds
 
 
