@@ -201,7 +201,8 @@ class Level:
     def __str__(self) -> str:
         """Return the drawing, one character per cell, top row first."""
         self._check_cells()
-        rows = [[self._char(x, y) for x in range(len(row))] for y, row in enumerate(self.cells)]
+        chars = self._chars()
+        rows = [[chars[code] for code in row] for row in self.cells.tolist()]
         x, y = self.agent
         beneath, rows[y][x] = rows[y][x], AGENT
         drawing = "\n".join("".join(row) for row in reversed(rows))
@@ -316,8 +317,10 @@ class Level:
             raise ValueError(f"cell {cell} holds {self._char(x, y)!r}")
 
     def _char(self, x: int, y: int) -> str:
-        names = {code: char for char, code in self.game.editing.LEGEND.items()}
-        return names[int(self.cells[y, x])]
+        return self._chars()[int(self.cells[y, x])]
+
+    def _chars(self) -> dict[int, str]:
+        return {code: char for char, code in self.game.editing.LEGEND.items()}
 
 
 def _cell(place: Any) -> Cell:

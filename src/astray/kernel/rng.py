@@ -33,11 +33,11 @@ TO_UNIT = 2.0**-53
 @kernel
 def seed_twister(s, number):
     """Seed the twister of `s` with the 32-bit `number`."""
-    word = np.uint64(number) & LOW_32
-    s.mt[0] = word
+    mt, word = s.mt, np.uint64(number) & LOW_32
+    mt[0] = word
     for i in range(1, WORDS):
         word = (SEED_FACTOR * (word ^ (word >> U30)) + np.uint64(i)) & LOW_32
-        s.mt[i] = word
+        mt[i] = word
     s.mt_next = 0
 
 
@@ -45,14 +45,14 @@ def seed_twister(s, number):
 def draw_u32(s):
     """Draw the next 32 random bits of `s`, as uint64."""
     # One word is renewed per draw; the usual renewal of all 624 at once gives the same numbers.
-    i = s.mt_next
+    mt, i = s.mt, s.mt_next
     after = i + 1 if i + 1 < WORDS else 0
     far = i + MIDDLE if i + MIDDLE < WORDS else i + MIDDLE - WORDS
-    y = (np.uint64(s.mt[i]) & HIGH_BIT) | (np.uint64(s.mt[after]) & LOW_31)
-    word = np.uint64(s.mt[far]) ^ (y >> U1)
+    y = (np.uint64(mt[i]) & HIGH_BIT) | (np.uint64(mt[after]) & LOW_31)
+    word = np.uint64(mt[far]) ^ (y >> U1)
     if y & U1:
         word = word ^ TWIST
-    s.mt[i] = word
+    mt[i] = word
     s.mt_next = after
     word = word ^ (word >> U11)
     word = word ^ ((word << U7) & TEMPER_B)
