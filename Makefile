@@ -34,7 +34,7 @@ compiled: $(INSTALLED)
 	cd tests && ../$(BIN)/python -m helpers.compiled
 
 # What `make test` leaves out: longer ways, and other cases, of what it does test.
-thorough: $(INSTALLED)
+thorough: compiled
 	$(PYTEST) -m thorough
 
 # An answer within a minute or two: linters, and tests of rules, levels, pictures, kernels, formulas

@@ -74,9 +74,17 @@ def test_what_is_installed_takes_the_first_python_that_is_promised():
 def test_publishing_needs_the_tests_and_no_token():
     text = read(".github/workflows/release.yml")
     jobs = yaml(".github/workflows/release.yml")["jobs"]
-    assert {"test", "version"} <= set(jobs["publish"]["needs"])
+    assert {"test", "thorough", "version"} <= set(jobs["publish"]["needs"])
     assert jobs["publish"]["permissions"] == {"id-token": "write"}
     assert "secrets." not in text and "password" not in text
+
+
+def test_what_is_tested_seldom_is_tested_every_week_and_before_a_release():
+    thorough = ".github/workflows/thorough.yml"
+    assert yaml(".github/workflows/release.yml")["jobs"]["thorough"]["uses"] == f"./{thorough}"
+    (step,) = (one["run"] for one in yaml(thorough)["jobs"]["thorough"]["steps"] if "run" in one)
+    assert step == "make thorough"
+    assert yaml(thorough)[True].keys() >= {"schedule", "workflow_call"}  # YAML reads `on` as true
 
 
 def test_what_extras_bring_is_tested():
