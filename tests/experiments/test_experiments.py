@@ -64,6 +64,7 @@ TRAINED.append(("inherited-goals", "pixels"))
 # Their agents, tests or claims are of the kinds of another study, and what each of them alone
 # computes has tests on made-up tables.
 LIKE_ANOTHER = {
+    ("asking-for-help", "smoke"): "`test_oversight` plays and compares its curves",
     ("early-or-late", "smoke"): "minimax-regret",
     ("inherited-goals", "smoke"): "its other size",
     ("maze-region", "smoke"): "maze-corner",

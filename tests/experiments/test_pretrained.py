@@ -81,7 +81,14 @@ def test_the_outcomes_that_are_known_are_the_cards(name):
     assert len(outcomes) == CARDS and as_on_cards(outcomes, config) == row
 
 
-@pytest.mark.parametrize("name", folders.pretrained())
+@pytest.mark.parametrize(
+    "name",
+    [
+        # Networks that take four times as long; the same games have an agent that takes less.
+        pytest.param(name, marks=pytest.mark.thorough if name.endswith("-night") else ())
+        for name in folders.pretrained()
+    ],
+)
 def test_every_kept_agent_does_what_its_card_says(name):
     agent, _ = open_run(folders.find(name))
     assert agent.path.stat().st_size <= keep.LARGEST and int(agent.path.parent.name) > 0

@@ -76,7 +76,13 @@ def test_a_gpu_sees_as_many_at_once_as_ever(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "config", [GRAPHS, replace(ALL, steps=96, checkpoint_every=1)], ids=["mlp", "impala"]
+    "config",
+    [
+        pytest.param(GRAPHS, id="mlp"),
+        pytest.param(
+            replace(ALL, steps=96, checkpoint_every=1), id="impala", marks=pytest.mark.thorough
+        ),
+    ],
 )
 def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeypatch):
     with cuda(monkeypatch) as pretended:

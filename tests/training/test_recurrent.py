@@ -179,7 +179,10 @@ def test_what_is_cut_off_is_valued_with_the_memory_of_its_episode(monkeypatch):
     assert cut.any() and not asked
 
 
-@pytest.mark.parametrize("name", TRAINED)
+@pytest.mark.parametrize(
+    "name",
+    [*TRAINED[:-1], pytest.param(TRAINED[-1], marks=pytest.mark.thorough)],  # which takes longest
+)
 def test_a_stopped_training_with_memory_goes_on_to_the_bit(name, tmp_path, monkeypatch):
     config = replace(CONFIG, network=name, validation="anywhere-small")
     loop.train(config, tmp_path / "one", progress=False)
