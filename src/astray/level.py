@@ -63,8 +63,9 @@ class Level:
         cells, codes = self.cells, sorted(set(self.game.editing.LEGEND.values()))
         if not isinstance(cells, np.ndarray) or cells.ndim != 2 or cells.dtype != np.uint8:
             raise ValueError("a level's cells are an array [H, W] of uint8")
-        if (wrong := np.argwhere(~np.isin(cells, codes))).size:
-            y, x = map(int, wrong[0])
+        known = np.bincount(codes, minlength=256)[cells]
+        if not known.all():
+            y, x = map(int, np.argwhere(known == 0)[0])
             raise ValueError(f"unknown code {cells[y, x]} at cell ({x}, {y}); there are: {codes}")
 
     @staticmethod
