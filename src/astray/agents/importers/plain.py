@@ -221,24 +221,12 @@ def _marked_tuple(m: _Machine) -> None:
     m.stack.append(tuple(popped))
 
 
-def _append(m: _Machine) -> None:
-    value = m.stack.pop()
-    _of(list, m.stack[-1]).append(value)
+def _extend(m: _Machine, values: list[Any]) -> None:
+    _of(list, m.stack[-1]).extend(values)
 
 
-def _appends(m: _Machine) -> None:
-    popped = m.popped_to_mark()
-    _of(list, m.stack[-1]).extend(popped)
-
-
-def _set_item(m: _Machine) -> None:
-    value, key = m.stack.pop(), m.stack.pop()
-    _of(dict, m.stack[-1])[_key(key)] = value
-
-
-def _set_items(m: _Machine) -> None:
-    popped = m.popped_to_mark()
-    _of(dict, m.stack[-1]).update(zip(map(_key, popped[::2]), popped[1::2], strict=True))
+def _update(m: _Machine, pairs: list[Any]) -> None:
+    _of(dict, m.stack[-1]).update(zip(map(_key, pairs[::2]), pairs[1::2], strict=True))
 
 
 def _key(value: Any) -> Any:
@@ -337,5 +325,8 @@ DONE: dict[str, Callable[[_Machine], None]] = {
     "EMPTY_DICT": lambda m: m.stack.append({}), "EMPTY_LIST": lambda m: m.stack.append([]),
     "EMPTY_TUPLE": lambda m: m.stack.append(()),
     "TUPLE": _marked_tuple, "TUPLE1": _tuple(1), "TUPLE2": _tuple(2), "TUPLE3": _tuple(3),
-    "APPEND": _append, "APPENDS": _appends, "SETITEM": _set_item, "SETITEMS": _set_items,
+    "APPEND": lambda m: _extend(m, [m.stack.pop()]),
+    "APPENDS": lambda m: _extend(m, m.popped_to_mark()),
+    "SETITEM": lambda m: _update(m, [m.stack.pop(), m.stack.pop()][::-1]),
+    "SETITEMS": lambda m: _update(m, m.popped_to_mark()),
 }  # fmt: skip
