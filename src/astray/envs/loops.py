@@ -4,6 +4,8 @@ Threads share a batch: each takes a few environments whenever it has finished it
 environment depends on its own record alone, not on the thread that steps it.
 """
 
+from typing import Any
+
 import numpy as np
 
 from astray.kernel.barrier import arrive, release, take
@@ -15,24 +17,16 @@ NEXT_LEVEL, AS_SET, STEP, NOTHING = -1, -2, -3, -4  # to do, instead of a level'
 NEXT_STEP, SAME_STEP, DISABLED = 0, 1, 2
 PIECE = 8  # environments that a thread takes at once: some 5 us of work
 
-# Bound to the number of a game's actions, and to its functions of the same names.
+
+def unbound(*_: object) -> Any:
+    raise NotImplementedError
+
+
+# Bound to the number of a game's actions, and to its functions of the same names: see `protocols`.
 ACTIONS = 0
-
-
-def generate(s, p) -> None:
-    raise NotImplementedError
-
-
-def step(s, action) -> tuple[float, bool]:
-    raise NotImplementedError
-
-
-def background(s, art, scene) -> None:
-    raise NotImplementedError
-
-
-def foreground(s, art, scene, image) -> None:
-    raise NotImplementedError
+generate = step = background = foreground = unbound
+# Bound to `begin`, `background_of_any` and `observe`, once these are bound to a game.
+begin_one = background_of = observe_one = unbound
 
 
 # Left as they are where a game has no symbols.
@@ -44,19 +38,6 @@ def background_planes(s, scene):
 @kernel
 def foreground_planes(s, scene, planes):
     """Write no planes."""
-
-
-# Bound to the function below it, once that is bound to a game.
-def begin_one(s, params, level) -> None:
-    raise NotImplementedError
-
-
-def background_of(s, art, symbolic, scene) -> None:
-    raise NotImplementedError
-
-
-def observe_one(s, art, symbolic, scene, observation) -> None:
-    raise NotImplementedError
 
 
 def begin(s, params, level):
