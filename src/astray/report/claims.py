@@ -30,33 +30,16 @@ class Claim:
 
 
 def above(
-    sentence: str,
-    paper: str,
-    measured: str,
-    estimate: Estimate,
-    bound: float = 0.0,
-    *,
-    told: Callable[[Estimate], str] = Estimate.percent,
-    why: str = "",
+    sentence: str, paper: str, measured: str, estimate: Estimate, bound: float = 0.0, **how: Any
 ) -> Claim:
-    """Test the claim that a result is above `bound`.
-
-    Args:
-        sentence: The claim.
-        paper: The paper's statement about it.
-        measured: Description of the result.
-        estimate: The result.
-        bound: Lower bound of the whole interval.
-        told: Method that formats the estimate; `Estimate.percent` formats bounds too.
-        why: Further evidence about the reason, shown if the claim is not supported.
-    """
-    return within(sentence, paper, measured, estimate, (bound, math.inf), told=told, why=why)
+    """Test the claim that a result is above `bound`; arguments as in `within`."""
+    return within(sentence, paper, measured, estimate, (bound, math.inf), **how)
 
 
 def below(
     sentence: str, paper: str, measured: str, estimate: Estimate, bound: float = 0.0, **how: Any
 ) -> Claim:
-    """Test the claim that a result is below `bound`; arguments as in `above`."""
+    """Test the claim that a result is below `bound`; arguments as in `within`."""
     return within(sentence, paper, measured, estimate, (-math.inf, bound), **how)
 
 
@@ -70,7 +53,17 @@ def within(
     told: Callable[[Estimate], str] = Estimate.percent,
     why: str = "",
 ) -> Claim:
-    """Test the claim that a result is between two bounds; arguments as in `above`."""
+    """Test the claim that a result is between two bounds.
+
+    Args:
+        sentence: The claim.
+        paper: The paper's statement about it.
+        measured: Description of the result.
+        estimate: The result.
+        bounds: Lower and upper bound of the whole interval.
+        told: Method that formats the estimate; `Estimate.percent` formats bounds too.
+        why: Further evidence about the reason, shown if the claim is not supported.
+    """
     low, high = bounds
     ours = f"{measured}: {told(estimate)}; supported if {_rule(low, high, told)}"
     supported = bool(low < estimate.low and estimate.high < high)
@@ -79,21 +72,14 @@ def within(
 
 
 def near_zero(
-    sentence: str,
-    paper: str,
-    measured: str,
-    estimate: Estimate,
-    margin: float,
-    *,
-    told: Callable[[Estimate], str] = Estimate.percent,
-    why: str = "",
+    sentence: str, paper: str, measured: str, estimate: Estimate, margin: float, **how: Any
 ) -> Claim:
-    """Test the claim that there is no effect beyond `margin`; arguments as in `above`.
+    """Test the claim that there is no effect beyond `margin`; arguments as in `within`.
 
     It is an equivalence test (two one-sided tests). An interval that contains 0 shows nothing,
     since fewer data make that more likely.
     """
-    return within(sentence, paper, measured, estimate, (-margin, margin), told=told, why=why)
+    return within(sentence, paper, measured, estimate, (-margin, margin), **how)
 
 
 def every(sentence: str, paper: str, parts: Sequence[Claim], why: str = "") -> Claim:
