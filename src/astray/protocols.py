@@ -51,9 +51,8 @@ class Rules(Protocol):
         """Integer fields of the state: the step at which each event first happened, or NEVER."""
         ...
 
-    @property
-    def step(self) -> Callable:
-        """Compiled function (s, action) -> (reward, terminated)."""
+    def step(self, s: Any, action: Any, /) -> tuple[float, bool]:
+        """Take a step in compiled code; return its reward, and whether it ended the episode."""
         ...
 
 
@@ -66,9 +65,8 @@ class Levels(Protocol):
         >>> maze.levels.generate(s, maze.variant("corner").records()[0])
     """
 
-    @property
-    def generate(self) -> Callable:
-        """Compiled function (s, p) that fills `s` with a new level.
+    def generate(self, s: Any, p: Any, /) -> None:
+        """Fill `s` with a new level, in compiled code.
 
         The random generator in `s` is seeded and the common fields are set. All other fields still
         hold their values from the previous level.
@@ -85,24 +83,20 @@ class Symbols(Protocol):
         (4, 7, 7)
     """
 
-    @property
-    def planes(self) -> Callable[..., np.ndarray]:
-        """Function (variant) -> [C, H, W] uint8, the largest values; binary planes first."""
+    def planes(self, variant: Any, /) -> np.ndarray:
+        """Return the largest values, [C, H, W] uint8; binary planes first."""
         ...
 
-    @property
-    def planes_scene_shape(self) -> Callable[..., tuple[int, ...]]:
-        """Function (variant) -> shape of the scene."""
+    def planes_scene_shape(self, variant: Any, /) -> tuple[int, ...]:
+        """Return the shape of the scene."""
         ...
 
-    @property
-    def background_planes(self) -> Callable:
-        """Compiled function (s, scene) that writes the background, which does not move."""
+    def background_planes(self, s: Any, scene: Any, /) -> None:
+        """Write the background, which does not move, in compiled code."""
         ...
 
-    @property
-    def foreground_planes(self) -> Callable:
-        """Compiled function (s, scene, planes) that writes the planes."""
+    def foreground_planes(self, s: Any, scene: Any, planes: Any, /) -> None:
+        """Write the planes, in compiled code."""
         ...
 
 
@@ -129,19 +123,16 @@ class Editing(Protocol):
         """Characters that the agent can stand on during an episode; it begins on `level.EMPTY`."""
         ...
 
-    @property
-    def grid(self) -> Callable[[Any], np.ndarray]:
-        """Function (s) -> [H, W] uint8, codes of the cells' contents, lowest row first."""
+    def grid(self, s: Any, /) -> np.ndarray:
+        """Return codes of the cells' contents, [H, W] uint8, lowest row first."""
         ...
 
-    @property
-    def centre(self) -> Callable[[Any], list[float]]:
-        """Function (s) -> x and y of the agent, in cells."""
+    def centre(self, s: Any, /) -> list[float]:
+        """Return x and y of the agent, in cells."""
         ...
 
-    @property
-    def describe(self) -> Callable[[Any], dict[str, Any]]:
-        """Function (s) -> its level as JSON-serialisable data, with derived fields.
+    def describe(self, s: Any, /) -> dict[str, Any]:
+        """Return its level as JSON-serialisable data, with derived fields.
 
         "grid" and "agent" (its centre) are lists; "looks" holds everything else that `build` needs.
         Its "details" are lists [x, y, ...], one per cell: they are moved and removed with the
@@ -150,9 +141,8 @@ class Editing(Protocol):
         """
         ...
 
-    @property
-    def build(self) -> Callable[..., Any]:
-        """Function (grid, agent's cell, looks, variant) -> the state that begins there.
+    def build(self, grid: Any, agent: Any, looks: Any, variant: Any, /) -> Any:
+        """Return the state that begins with this grid [H, W], agent's cell and looks.
 
         It raises ValueError if there is no such state.
         """
@@ -168,22 +158,19 @@ class Places(Protocol):
         (1, 2)
     """
 
-    @property
-    def centre(self) -> Callable[[np.ndarray], np.ndarray]:
-        """Function (states [N]) -> [N, 2] float64, the agents' centres in cells."""
+    def centre(self, states: np.ndarray, /) -> np.ndarray:
+        """Return the agents' centres in states [N], [N, 2] float64 in cells."""
         ...
 
-    @property
-    def stand(self) -> Callable[[Any], np.ndarray]:
-        """Function (s) -> [H, W] bool, the cells in which the agent can be put.
+    def stand(self, s: Any, /) -> np.ndarray:
+        """Return the cells in which the agent can be put, [H, W] bool.
 
         These are the empty cells that it can reach, and its own.
         """
         ...
 
-    @property
-    def put(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """Function (states [N], cells [N, 2] int64) -> states [N] with the agents there, at rest.
+    def put(self, states: np.ndarray, cells: np.ndarray, /) -> np.ndarray:
+        """Return states [N] with the agents in cells [N, 2] int64, at rest.
 
         Everything else is copied from the given states, which stay unchanged.
         """
@@ -200,14 +187,12 @@ class Cells(Protocol):
         (5, 5)
     """
 
-    @property
-    def free(self) -> Callable[[Any], np.ndarray]:
-        """Function (s) -> [H, W] bool, the cells that an agent can stand in."""
+    def free(self, s: Any, /) -> np.ndarray:
+        """Return the cells that an agent can stand in, [H, W] bool."""
         ...
 
-    @property
-    def target(self) -> Callable[[Any, str], tuple[int, int] | None]:
-        """Function (s, goal) -> cell of the goal, or None if the level lacks it."""
+    def target(self, s: Any, goal: str, /) -> tuple[int, int] | None:
+        """Return the cell of the goal, or None if the level lacks it."""
         ...
 
 
@@ -235,9 +220,8 @@ class Sprites(Protocol):
         """Character of `Editing.LEGEND` -> names of the drawings in such a cell, lowest first."""
         ...
 
-    @property
-    def agent(self) -> Callable[[Any], str]:
-        """Function (s) -> name of the agent's drawing."""
+    def agent(self, s: Any, /) -> str:
+        """Return the name of the agent's drawing."""
         ...
 
 
@@ -253,22 +237,19 @@ class Solver(Protocol):
         'up'
     """
 
-    @property
-    def reachable(self) -> Callable[[Any], np.ndarray]:
-        """Function (s) -> [H, W] bool, the cells that the agent can reach."""
+    def reachable(self, s: Any, /) -> np.ndarray:
+        """Return the cells that the agent can reach, [H, W] bool."""
         ...
 
-    @property
-    def expert(self) -> Callable[[Any, str], Callable[[Any], int]]:
-        """Function (s, goal) -> policy, which maps a state of the episode to an optimal action.
+    def expert(self, s: Any, goal: str, /) -> Callable[[Any], int]:
+        """Return a policy, which maps a state of the episode to an optimal action.
 
         The policy stays in place if the goal was reached or cannot be reached.
         """
         ...
 
-    @property
-    def optimal_return(self) -> Callable[[Any, str, float], float]:
-        """Function (s, goal, gamma) -> the largest discounted return."""
+    def optimal_return(self, s: Any, goal: str, gamma: float, /) -> float:
+        """Return the largest discounted return."""
         ...
 
 
@@ -283,9 +264,10 @@ class Mutating(Protocol):
         3
     """
 
-    @property
-    def mutate(self) -> Callable[..., np.ndarray]:
-        """Function (states [N], variant, seeds [N] uint32, edits, kind) -> edited states [N].
+    def mutate(
+        self, states: np.ndarray, variant: Any, seeds: np.ndarray, edits: int, kind: Any, /
+    ) -> np.ndarray:
+        """Return edited states [N], given states [N], seeds [N] uint32 and the number of edits.
 
         The given states are initial states of levels, and `kind` is one of `game.MUTATIONS`. In
         each result the agent can reach the goal, `level` is NEVER, and `shifted` says whether the
