@@ -1,7 +1,5 @@
 """Does the critic value the coin, or the end of the level where the coin always was?"""
 
-from dataclasses import replace
-
 import numpy as np
 import polars as pl
 
@@ -30,10 +28,7 @@ TESTS = {
     NO_COIN: Test("coin-absent", "coin-end"),
     TRAINED: Test("coin-end", "coin-end"),  # where values are compared with what came
 }
-# Who misses the coin stays for 1,000 steps, of which most look alike.
-BRIEF = {
-    name: replace(test, knobs={**test.knobs, "time_limit": 300}) for name, test in TESTS.items()
-}
+BRIEF = 300  # steps; who misses the coin stays for 1,000, of which most look alike
 BINS = 8  # of values, as many states in each
 DRAWN = 5  # states of each episode, as in the original of each 256 steps
 REMOVED, ADDED = "taken away", "put in view"
@@ -240,7 +235,7 @@ EXPERIMENT = Experiment(
     sizes=_agents.plans(
         {"smoke": 300, "pixels": 300, "night": 300, "hour": 500, "paper": 1000, "published": 300},
         visited=TESTS,
-        published={"visited": BRIEF},
+        brief=BRIEF,
     ),
     find=find,
 )

@@ -274,12 +274,6 @@ def moments(data: pl.DataFrame) -> list[int]:
     return steps.tolist()
 
 
-# As long as it takes: a network this large needs an hour for what the others play in a minute.
-BRIEF = {
-    name: replace(test, knobs={**test.knobs, "time_limit": LONGEST}) for name, test in TESTS.items()
-}
-PLAYED: dict[str, Any] = {"tests": TESTS, "measures": {"to_wall": measures.to_wall}}
-
 EXPERIMENT = Experiment(
     title="The permeable wall",
     reproduces="Figure 7",
@@ -287,8 +281,9 @@ EXPERIMENT = Experiment(
     "moving to the wall.",
     sizes=_agents.plans(
         {"smoke": 200, "pixels": 200, "night": 200, "hour": 300, "paper": 1000, "published": 150},
-        **PLAYED,
-        published={"tests": BRIEF},
+        tests=TESTS,
+        measures={"to_wall": measures.to_wall},
+        brief=LONGEST,
     ),
     find=find,
 )

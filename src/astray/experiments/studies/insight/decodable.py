@@ -167,7 +167,7 @@ EXPERIMENT = Experiment(
     question="Is the coin that a runner passes by in its layers, and ignored, or not there?",
     sizes={
         "smoke": _plans.of_kept_runner(400, visited={WHERE: BRIEF}),
-        **_agents.plans({"published": 60}, visited={WHERE: BRIEF}),
+        **_agents.plans({"published": 60}, visited={WHERE: BRIEF}, brief=BRIEF.knobs["time_limit"]),
     },
     find=find,
     needs={"sklearn": "insight"},
