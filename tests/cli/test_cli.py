@@ -1,5 +1,6 @@
 """The command line, as it is typed."""
 
+import io
 import json
 import shutil
 import subprocess
@@ -142,6 +143,27 @@ def test_an_evaluation_is_not_written_over_what_is_played(astray, run_folder, na
     said = astray("evaluate", run_folder, "--out", run_folder / name, fails=True)
     assert "a table of episodes is a .parquet file" in said
     assert (run_folder / name).read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "words, name",
+    [
+        ("evaluate maze-corner --levels 0:2", "mine.parquet"),
+        ("record maze-corner --pixels 64 --variant corner-small", "mine.gif"),
+        ("record maze-corner --pixels 64 --variant corner-small", "mine.mp4"),
+    ],
+)
+def test_a_file_is_replaced_only_if_astray_wrote_it(astray, tmp_path, words, name):
+    table = io.BytesIO()
+    pl.DataFrame({"a": [1]}).write_parquet(table)
+    (out := tmp_path / name).write_bytes(table.getvalue())
+    said = astray(*words.split(), "--out", out, fails=True)
+    assert said == f"astray: {out} was not written by astray; it would be replaced\n"
+    assert out.read_bytes() == table.getvalue()
+    out.unlink()
+    for _ in range(2):
+        astray(*words.split(), "--out", out)
+    assert out.read_bytes() != table.getvalue()
 
 
 @pytest.mark.parametrize("setting", ["--loss", "--reward", "--network", "--sampler"])

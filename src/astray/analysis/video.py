@@ -26,6 +26,7 @@ CAPTION = 17  # pixels, the size of its letters
 LINE = 24  # pixels from a line of a caption to the next
 FASTEST = 100  # frames a second: GIFs count hundredths
 LARGEST = 2**32  # bytes of an episode's frames
+SIGN = "video by astray"  # a comment in the file
 FPS = 15  # frames, and so steps of an episode, a second
 
 Caption = str | Callable[[int], str]  # or a function of the step
@@ -210,6 +211,7 @@ def write_mp4(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
     codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
     file = io.BytesIO()
     with av.open(file, "w", format="mp4") as container:
+        container.metadata["comment"] = SIGN
         stream = container.add_stream(codec, rate=fps, options={"crf": "20"})
         stream.height, stream.width = even.shape[1:3]
         stream.pix_fmt = "yuv420p"
@@ -239,9 +241,8 @@ def write_gif(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
     ends = [round(100 * k / fps) for k in range(len(frames) + 1)]  # GIFs count hundredths of a s
     milliseconds = [10 * int(n) for n in np.diff(ends)]
     file = io.BytesIO()
-    images[0].save(
-        file, "GIF", save_all=True, append_images=images[1:], duration=milliseconds, loop=0
-    )
+    how: Any = {"duration": milliseconds, "loop": 0, "comment": SIGN}
+    images[0].save(file, "GIF", save_all=True, append_images=images[1:], **how)
     write_aside(path, file.getvalue())
 
 

@@ -14,7 +14,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray import imports
-from astray.analysis.tables import write_table
+from astray.analysis.tables import SIGN, write_table
 from astray.cli.arguments import (
     NUMBERS,
     Agent,
@@ -145,6 +145,7 @@ def evaluate(
     if out:
         if out.suffix != ".parquet":  # nor what is played, as an agent's weights
             raise ValueError(f"a table of episodes is a .parquet file, not {out}")
+        check_free(out.parent, out.name, SIGN, ())
         check_writable(out)
     own = imports.find_each(rewards)
     how: dict[str, Any] = dict(batch=batch, solvable=not unsolvable, longest=longest, rewards=own)
@@ -207,6 +208,7 @@ def record(
     if write is None:
         raise ValueError(f"a video is an .mp4 or a .gif file, not {out}")
     bounded("pixels", pixels, *PICTURES)
+    check_free(out.parent, out.name, video.SIGN.encode(), ())
     check_writable(out)
     player, rules, made, _ = played.open()
     begun = level.begun(rules, made)
