@@ -42,6 +42,35 @@ def test_who_is_asked_to_end_clears_away_what_is_half_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+IGNORED = """
+import os, signal, sys, time, weakref
+from astray import cli
+from astray.cli import verbs
+class Thing:
+    pass
+def run():
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    thing = Thing()
+    seen = weakref.ref(thing, lambda _: os.kill(os.getpid(), getattr(signal, sys.argv[1])))
+    del thing
+    time.sleep(30)
+    print("slept")
+verbs.run = run
+cli.main()
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there SIGTERM ends a process at once")
+@pytest.mark.parametrize(
+    "name, code, said",
+    [("SIGTERM", cli.TERMINATED, "terminated"), ("SIGINT", cli.INTERRUPTED, "interrupted")],
+)
+def test_a_signal_that_python_ignores_in_a_callback_ends_the_command(name, code, said):
+    command = [sys.executable, "-c", IGNORED, name]
+    told = subprocess.run(command, capture_output=True, text=True)
+    assert (told.returncode, told.stdout, told.stderr) == (code, "", f"astray: {said}\n")
+
+
 def test_a_mistake_is_told_in_a_few_lines():
     told = shortened("x" * 10**6)
     assert len(told) < LONGEST + 10 and " ... " in told

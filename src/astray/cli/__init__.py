@@ -1,5 +1,6 @@
 """The command line: one plain function per verb, with readable errors."""
 
+import _thread
 import atexit
 import contextlib
 import io
@@ -15,6 +16,7 @@ from astray.validation import printable
 
 MISTAKE = 2  # exit code, after the mistake was explained
 INTERRUPTED = 130  # as shells say it: 128 and the number of the signal, SIGINT
+AGAIN = 0.01  # seconds until an interrupt that Python ignored is repeated
 LONGEST = 1200  # characters of a mistake; the longest list of what there is has 800
 UNREAD = 141  # likewise SIGPIPE: nobody reads what is written, as in `astray list | head -1`
 TERMINATED = 143  # likewise SIGTERM
@@ -29,6 +31,8 @@ def main() -> None:
         if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
             signal.signal(signal.SIGTERM, _terminate)
         threading.excepthook = _tell_of_thread
+        if sys.unraisablehook is sys.__unraisablehook__:
+            sys.unraisablehook = _interrupt_again
         try:
             os.getcwd()
         except FileNotFoundError:  # which libraries handle badly
@@ -61,6 +65,16 @@ def main() -> None:
 
 def _terminate(*_: object) -> None:
     raise imports.Terminated
+
+
+def _interrupt_again(what: "sys.UnraisableHookArgs") -> None:
+    """Repeat an interrupt or a SIGTERM that Python ignored, as in a weak reference's callback."""
+    if not issubclass(what.exc_type, KeyboardInterrupt):
+        return sys.__unraisablehook__(what)
+    number = signal.SIGTERM if what.exc_type is imports.Terminated else signal.SIGINT
+    again = threading.Timer(AGAIN, _thread.interrupt_main, [number])
+    again.daemon = True
+    again.start()
 
 
 def _open_streams() -> None:
