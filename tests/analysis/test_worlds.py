@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+import gc
 import itertools
 import json
 import multiprocessing
@@ -10,6 +11,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -402,6 +404,27 @@ def test_a_process_that_dies_where_it_begins_is_told():
     world = replace(WORLD, workers=True, variants={"end": make, "anywhere": make})
     with pytest.raises(RuntimeError, match="the process of an environment of room end died"):
         WorldVectorEnv(world, "end", 2)
+
+
+@pytest.mark.parametrize("which", ["observation_space", "info"])
+def test_what_a_process_cannot_send_is_told_in_a_sentence(which):
+    class Keeps(Room):
+        def reset(self, **given):
+            seen, info = super().reset(**given)
+            return seen, info | ({"lock": threading.Lock()} if which == "info" else {})
+
+    def make():
+        env = Keeps("anywhere")
+        if which != "info":
+            vars(env.observation_space)["lock"] = threading.Lock()
+        return env
+
+    world = replace(WORLD, workers=True, variants={"end": make, "anywhere": make})
+    said = r"spaces and infos of room end must be picklable, or World\(workers=False\): cannot"
+    with pytest.raises(ValueError, match=said):
+        WorldVectorEnv(world, "end", 2).reset(options={"level": [1, 2]})
+    gc.collect()
+    assert not multiprocessing.active_children()
 
 
 def test_an_interrupt_while_actions_are_sent_is_no_error(monkeypatch):

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from functools import cache, partial
+from pickle import PickleError
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from astray.envs.steps import choices
 from astray.envs.watch import Watch
 from astray.files import UNGUARDED
 from astray.game import OWN
-from astray.validation import MOST, bounded, shown
+from astray.validation import MOST, bounded, brief, shown
 from astray.witness import NOTED, witnessed
 from astray.world import World, WorldVariant
 
@@ -209,6 +210,14 @@ class WorldVectorEnv:
             self._give_up()
             told = f"the process of an environment of {self.variant} died"
             raise RuntimeError(told if self._envs else told + UNGUARDED) from error
+        except (AttributeError, TypeError, PickleError) as error:  # pickle raises each of them
+            if not self.game.workers:
+                raise
+            self._give_up()
+            raise ValueError(
+                f"spaces and infos of {self.variant} must be picklable, or World(workers=False): "
+                f"{brief(error)}"
+            ) from error
 
     def _kill(self) -> None:
         for process in self._envs.processes:
