@@ -53,6 +53,9 @@ def read(data: bytes) -> Imported:
         ours = {name: said for name, said in ours.items() if name not in ("levels", "first_level")}
     if told.get("reward_processing") == "none":
         ours["normalise_reward"] = False
+    for name in ("env_name", "distribution_mode"):
+        if not isinstance(told.get(name), str | None):
+            raise ValueError(f"its setting {name} must be text; got {told[name]!r}")
     mode = "hard" if told.get("distribution_mode") is None else told["distribution_mode"]
     world = (str(told["env_name"]), str(mode)) if told.get("env_name") else None
     return of_procgen("clear", weights, 'RL-Clarity: the "clear" network', world, ours, told)
