@@ -157,6 +157,21 @@ def test_kinds_that_nearly_all_succeed_and_differ_widely_are_told_apart_too_ofte
     assert 0.89 <= np.mean([one.low <= 0 <= one.high for one in found]) <= 0.95
 
 
+@pytest.mark.parametrize("others, spread", [(9, LARGE), (20, LARGE), (9, 0.3)])
+def test_two_agents_against_many_are_told_apart_too_often(others, spread):
+    """As docs/evaluation.md says: Welch's freedom is too much where the two happen to be alike."""
+    random = np.random.default_rng(others)
+    level = random.normal(0, 1, (TIMES, 1, LEVELS))
+    kinds = [
+        random.random((TIMES, count, LEVELS))
+        < expit(0.5 + level + random.normal(0, wide, (TIMES, count, 1)))
+        for count, wide in ((2, LARGE), (others, spread))
+    ]
+    truth = expected(0.5, np.hypot(LARGE, 1)) - expected(0.5, np.hypot(spread, 1))
+    found = [estimate_difference(*both) for both in zip(*kinds, strict=True)]
+    assert 0.85 <= np.mean([one.low <= truth <= one.high for one in found]) <= 0.92
+
+
 @pytest.mark.parametrize("agents", [1, 8])
 def test_means_with_a_long_tail_need_more_than_ten_levels(agents):
     random = np.random.default_rng(agents)
