@@ -194,6 +194,23 @@ def plainly(x): return SPEED * x
 def stub(x): raise NotImplementedError
 @numba.extending.overload(stub)
 def overloaded(x): return lambda x: SPEED * x
+TABLE, LISTED = {"speed": SPEED}, [SPEED]
+class Kept: speed = SPEED
+def of_table(x): raise NotImplementedError
+@numba.extending.overload(of_table)
+def _of_table(x):
+    by = TABLE["speed"]
+    return lambda x: by * x
+def of_list(x): raise NotImplementedError
+@numba.extending.overload(of_list)
+def _of_list(x):
+    by = LISTED[0]
+    return lambda x: by * x
+def of_class(x): raise NotImplementedError
+@numba.extending.overload(of_class)
+def _of_class(x):
+    by = Kept.speed
+    return lambda x: by * x
 @numba.extending.intrinsic
 def within(context, x):
     return x(x), lambda c, builder, s, args: builder.mul(args[0], args[0].type(SPEED))
@@ -265,6 +282,12 @@ def by_name(x): return OTHER.often(x)
 @entry
 def stubbed(x): return stub(x)
 @entry
+def tables(x): return of_table(x)
+@entry
+def lists(x): return of_list(x)
+@entry
+def classes(x): return of_class(x)
+@entry
 def intrinsics(x): return within(x)
 @entry
 def cars(x): return Car(x).run(x)
@@ -306,6 +329,9 @@ KEPT = {
     "inlined": {"speed": 2},
     "by_name": {"inner": 2},
     "stubbed": {"speed": 2},
+    "tables": {"speed": 2},
+    "lists": {"speed": 2},
+    "classes": {"speed": 2},
     "intrinsics": {"speed": 2},
     "cars": {"speed": 2},
     "fixes": {"speed": 2},

@@ -86,10 +86,12 @@ def _frozen(name: Any, function: FunctionType, passed: set[FunctionType]) -> Ite
     used = {"", *closed, *(name for code in codes for name in code.co_names)}
     overloads = _overloads(builtin_registry.functions[-1], builtin_registry.attributes[-1])
     scopes: list[Mapping] = [function.__globals__, closed, vars(builtins), overloads]
-    for scope in scopes:  # also those of modules that are found in these
+    within: list[object] = []
+    for scope in scopes:  # also those of modules and classes that are found in these
         for name in filter(scope.__contains__, used):
-            value = scope[name]
-            for at, one in enumerate(value if isinstance(value, tuple) else (value,)):
+            value = scope[name]  # lists and dicts are what overloads choose from
+            several = [*value, *value.values()] if isinstance(value, dict) else value
+            for at, one in enumerate(several if isinstance(several, tuple | list) else (value,)):
                 each = [one, *overloads.get(id(one), ())]
                 if isinstance(kind := getattr(one, "class_type", None), numba.types.ClassType):
                     parts = (kind.jit_methods, kind.jit_static_methods, *kind.jit_props.values())
@@ -101,9 +103,10 @@ def _frozen(name: Any, function: FunctionType, passed: set[FunctionType]) -> Ite
                     package = f"{getattr(called, '__module__', '')}".partition(".")[0]
                     if isinstance(called, FunctionType) and package not in provenance.LIBRARIES:
                         yield from _frozen((name, at), called, passed)
-                if isinstance(one, ModuleType) and all(vars(one) is not s for s in scopes):
+                if isinstance(one, ModuleType | type) and all(one is not s for s in within):
+                    within.append(one)
                     scopes.append(vars(one))
-                elif isinstance(one, VALUES):
+                if isinstance(one, VALUES):
                     yield name, at, _kept(one)
 
 
