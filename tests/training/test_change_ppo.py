@@ -127,16 +127,45 @@ class Normalises(MLP):
         return self.norm(super().hidden(observation))
 
 
-def test_a_network_that_is_another_in_learning_by_its_running_means_is_refused():
-    """In the first minibatch its policy was 1.5 nats from the one that had acted."""
+class OfInstances(MLP):
+    """Acts by running means, and learns by those of an observation; drops half of it."""
+
+    def __init__(self, a):
+        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        self.norm, self.dropout = nn.InstanceNorm1d(1, track_running_stats=True), nn.Dropout(0.5)
+
+    def hidden(self, observation):
+        return self.dropout(self.norm(super().hidden(observation)[:, None])[:, 0])
+
+
+class Doubles(MLP):
+    """Says twice as much in learning."""
+
+    def __init__(self, a):
+        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+
+    def hidden(self, observation):
+        return super().hidden(observation) * (1 + self.training)
+
+
+@pytest.mark.parametrize("network", [Normalises, OfInstances, Doubles])
+def test_a_network_that_is_another_in_learning_is_refused(network):
+    """In the first minibatch the first one's policy was 1.5 nats from the one that had acted."""
     with (
         pytest.warns(UserWarning, match="as it is written"),
-        pytest.raises(ValueError, match="the same in acting and in learning; BatchNorm acts by"),
+        pytest.raises(ValueError, match="the same in acting and in learning, but for dropout"),
     ):
-        next(loop.iterate(CONFIG, network=Normalises))
+        next(loop.iterate(CONFIG, network=network))
 
 
-@pytest.mark.parametrize("network", [Tanh, Drops])
+class DropsAnyway(Tanh):
+    """Has dropout that is no module."""
+
+    def hidden(self, observation):
+        return nn.functional.dropout(super().hidden(observation), 0.5, self.training)
+
+
+@pytest.mark.parametrize("network", [Tanh, Drops, DropsAnyway])
 def test_a_network_without_memory_is_not_refused(network):
     with pytest.warns(UserWarning, match="as it is written"):
         assert next(loop.iterate(CONFIG, network=network)).metrics["update/first_kl"] >= 0

@@ -1,11 +1,13 @@
 """Checks of a training: that its network acts as it learns, its loss, and its weights."""
 
 from collections.abc import Mapping
+from copy import deepcopy
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from astray.agents.names import is_own
 from astray.agents.recurrent import Recurrent
 from astray.training import ppo
 from astray.training.config import Config
@@ -17,6 +19,7 @@ from astray.validation import shown
 # Largest difference between a network's outputs in acting and in learning: relative to their
 # deviation (rounding gives 1e-3, also in TF32, hidden state about 1), and to their size.
 APART, ROUNDED = 0.05, 1e-4
+SOME = 256  # observations of which a network is asked
 UNROLLED = 8  # steps of sequences that are compared
 REPEATED = 1e-6  # likewise in two calls in a row, of its size: float32 is rounded by 6e-8
 
@@ -28,9 +31,9 @@ class Diverged(RuntimeError):
 def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
     """Return how far accelerated outputs differ; raise ValueError if a network cannot learn."""
     config, using = trainer.config, trainer.fast.using
-    if any(isinstance(part, nn.modules.batchnorm._BatchNorm) for part in trainer.network.modules()):
-        told = "BatchNorm acts by running means, and learns by a minibatch's; LayerNorm by neither"
-        raise ValueError(f"a network must say the same in acting and in learning; {told}")
+    if not is_own(config.network):
+        seen = samples.observation
+        check_modes(trainer.network, seen[0] if isinstance(samples, Sequences) else seen[:SOME])
     if isinstance(samples, Sequences):
         check_recalled(trainer.network, samples)
     elif not using.of_network:
@@ -39,6 +42,29 @@ def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
         return {}
     first = samples.at(torch.arange(config.batch // config.minibatches, device=config.device))
     return acceleration.agreement(trainer.fast, trainer.network, first, config)
+
+
+@torch.no_grad()
+def check_modes(network: nn.Module, seen: Tensor) -> None:
+    """Raise ValueError if a network says otherwise in learning, as with BatchNorm; dropout may."""
+    before, said = deepcopy(network.state_dict()), [network(seen)]
+    cuda = [seen.device] if seen.is_cuda else []
+    for part in network.modules():
+        part.train(not isinstance(part, nn.modules.dropout._DropoutNd))
+    with torch.random.fork_rng(cuda):
+        for _ in range(2):
+            said.append(network(seen))
+            network.load_state_dict(before)  # its running means
+    network.eval()
+    for acted, learned, again in zip(*said, strict=True):
+        is_random = _size(again - learned) > ROUNDED * _size(learned)
+        apart = _size(learned - acted)
+        if not is_random and apart > APART * acted.std() + ROUNDED * _size(acted):
+            raise ValueError(
+                f"a network must say the same in acting and in learning, but for dropout; what "
+                f"{type(network).__name__} says differs by {float(apart / _size(acted)):.2g} of "
+                "its size, as with BatchNorm, which learns by a minibatch's mean; LayerNorm does not"
+            )
 
 
 @torch.no_grad()
