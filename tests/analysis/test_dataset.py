@@ -242,6 +242,15 @@ def test_a_table_of_more_rows_than_the_memory_holds_is_not_read(tmp_path, monkey
         read_table(path)
 
 
+def test_episodes_that_do_not_fit_into_memory_are_left_with_what_helps(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory, "available", lambda: 10**6)
+    monkeypatch.setattr(dataset, "LOOKS", 8)
+    said = r"144 steps of 4 episodes, which `longest` would truncate, need 0.0 GB of memory"
+    with pytest.raises(MemoryError, match=said):
+        dataset.export(Random(), "maze", "corner", range(8), tmp_path / "set", batch=4)
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_verb_writes_agents_and_scripts(astray, tmp_path):
     out = tmp_path / "agent"
     words = ("export", "maze-corner", "--variant", "anywhere-small", "--levels", "1000000:1000003")

@@ -33,6 +33,7 @@ from astray.envs.steps import choices
 from astray.envs.vector import GameVectorEnv, space_of
 from astray.files import check_writable, folder_aside, read, write_aside
 from astray.game import Game, Variant
+from astray.memory import check_memory
 from astray.record import count_levels
 from astray.validation import MOST, brief, of_kind, of_numbers, one_of, path_of, shown
 from astray.world import World, WorldVariant
@@ -42,6 +43,8 @@ FORMAT = 1  # version of dataset.json
 PART = 64_000_000  # bytes of observations and states in a file of steps, or a little more
 BATCH = 32  # episodes at once: of 500 steps and images they are 200 MB
 LARGEST = 2**20  # bytes of dataset.json
+A_STEP = 1000  # bytes of a step in memory, beside its observation
+LOOKS = 4096  # steps in memory, after each so many of which it is looked whether they fit
 SPARED = 2**20  # bytes of disk that HDF5 needs in addition; 0.7 MB were seen
 
 
@@ -84,6 +87,10 @@ def trajectories(
     parts: dict[int, list[tuple]] = {}
     for step in steps(policy, game, variant, levels, batch=batch, longest=longest):
         of_numbers("what an environment shows in a data set", step.observations)
+        count = sum(map(len, parts.values()))  # steps of episodes that go on
+        if count % LOOKS < len(step.level):  # twice: an episode is put together in the end
+            what = f"{count:,} steps of {len(parts)} episodes, which `longest` would truncate,"
+            check_memory(2 * count * (step.observations[0].nbytes + A_STEP), what)
         for i, level in enumerate(step.level.tolist()):
             kept = step.observations[i].copy(), step.before[i].copy()
             done = np.array(step.actions[i]), float(step.rewards[i])
