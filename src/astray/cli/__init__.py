@@ -74,7 +74,8 @@ def _interrupt_again(what: "sys.UnraisableHookArgs") -> None:
     number = signal.SIGTERM if what.exc_type is imports.Terminated else signal.SIGINT
     again = threading.Timer(AGAIN, _thread.interrupt_main, [number])
     again.daemon = True
-    again.start()
+    with contextlib.suppress(RuntimeError):  # Python ends, and starts no threads
+        again.start()
 
 
 def _open_streams() -> None:

@@ -214,10 +214,8 @@ class WorldVectorEnv:
             if not self.game.workers:
                 raise
             self._give_up()
-            raise ValueError(
-                f"spaces and infos of {self.variant} must be picklable, or World(workers=False): "
-                f"{brief(error)}"
-            ) from error
+            told = f"spaces and infos of {self.variant} must be picklable, or World(workers=False)"
+            raise ValueError(f"{told}: {brief(error)}") from error
 
     def _kill(self) -> None:
         for process in self._envs.processes:

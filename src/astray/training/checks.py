@@ -46,24 +46,24 @@ def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
 
 @torch.no_grad()
 def check_modes(network: nn.Module, seen: Tensor) -> None:
-    """Raise ValueError if a network says otherwise in learning, as with BatchNorm; dropout may."""
+    """Raise ValueError if a network says otherwise in learning of observations [N, ...] `seen`.
+
+    It may only by dropout, not as with BatchNorm.
+    """
     before, said = deepcopy(network.state_dict()), [network(seen)]
-    cuda = [seen.device] if seen.is_cuda else []
     for part in network.modules():
-        part.train(not isinstance(part, nn.modules.dropout._DropoutNd))
-    with torch.random.fork_rng(cuda):
+        part.train(not isinstance(part, nn.Dropout))
+    with torch.enable_grad(), torch.random.fork_rng([seen.device] if seen.is_cuda else []):
         for _ in range(2):
             said.append(network(seen))
             network.load_state_dict(before)  # its running means
     network.eval()
     for acted, learned, again in zip(*said, strict=True):
         is_random = _size(again - learned) > ROUNDED * _size(learned)
-        apart = _size(learned - acted)
-        if not is_random and apart > APART * acted.std() + ROUNDED * _size(acted):
+        if not is_random and _size(learned - acted) > _rounding(acted):
             raise ValueError(
-                f"a network must say the same in acting and in learning, but for dropout; what "
-                f"{type(network).__name__} says differs by {float(apart / _size(acted)):.2g} of "
-                "its size, as with BatchNorm, which learns by a minibatch's mean; LayerNorm does not"
+                "a network must say the same in acting and in learning, but for dropout; "
+                f"{type(network).__name__} does not, as with BatchNorm; LayerNorm does"
             )
 
 
@@ -79,8 +79,7 @@ def check_memoryless(network: nn.Module, samples: Samples, config: Config) -> No
     (logits, value), again = network(some.observation), network(some.observation)
     log_probability = ppo.log_probabilities(logits).gather(-1, some.action[:, None]).squeeze(-1)
     acted, learned = (some.log_probability, some.value), (log_probability, value)
-    bounds = [APART * then.std() + ROUNDED * _size(then) for then in acted]
-    bounds += [REPEATED * _size(said) for said in (logits, value)]
+    bounds = [*map(_rounding, acted), *(REPEATED * _size(said) for said in (logits, value))]
     pairs = zip((*acted, logits, value), (*learned, *again), bounds, strict=True)
     for then, now, most in pairs:
         if (apart := _size(now - then)) > most:
@@ -106,12 +105,17 @@ def check_recalled(network: nn.Module, samples: Sequences) -> None:
     learned = network.unroll(shown, state, begins)
     for then, now in zip(acted[:2], learned[:2], strict=True):
         apart = _size(now - then) if now.shape == then.shape else torch.tensor(torch.inf)
-        if apart > APART * then.std() + ROUNDED * _size(then):
+        if apart > _rounding(then):
             raise ValueError(
                 f"a network with memory must say the same step by step, in recall, and of a whole "
                 f"sequence, in unroll, and forget where `begins`; what {type(network).__name__} "
                 f"says differs by {float(apart / _size(then)):.2g} of its size"
             )
+
+
+def _rounding(said: Tensor) -> Tensor:
+    """Return the largest difference in outputs that rounding makes."""
+    return APART * said.std() + ROUNDED * _size(said)
 
 
 def _size(numbers: Tensor) -> Tensor:
