@@ -85,7 +85,7 @@ class Pools(OneColumn):
 
 
 class PoolsInLearning(Pools):
-    most, acts = 1, False
+    most, acts = 3, False  # two are asked before it learns
 
 
 @pytest.mark.filterwarnings("ignore:training runs")
