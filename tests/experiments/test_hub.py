@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -154,6 +155,16 @@ def test_a_hub_without_room_says_so(server):
     with pytest.raises(OSError, match="the Hub says 507"):
         ours.push(folders.find("maze-corner"), "ada/mouse")
     assert files(server) == {}
+
+
+def test_pulls_in_threads_leave_the_clients_of_the_user(pushed):
+    from huggingface_hub.utils import _http
+
+    before = _http._GLOBAL_CLIENT_FACTORY
+    with ThreadPoolExecutor(4) as threads:
+        pulled = [*threads.map(lambda k: ours.pull("ada/mouse", name=f"mouse-{k}"), range(12))]
+    assert [path.name for path in pulled] == [f"mouse-{k}" for k in range(12)]
+    assert _http._GLOBAL_CLIENT_FACTORY is before
 
 
 def test_an_interrupted_download_goes_on_where_it_was(pushed, monkeypatch):

@@ -7,6 +7,7 @@ path, it would write elsewhere or link to a file of the user's.
 import contextlib
 import logging
 import re
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -15,6 +16,7 @@ from astray.published.download import LEAST, in_time
 from astray.validation import brief, shown
 
 COMMIT = re.compile(r"[0-9a-f]{40,64}")
+ONE = threading.Lock()  # as the process has one factory of clients
 T = TypeVar("T")
 ETAG = re.compile(r'(W/)?"?[0-9A-Za-z_-]{8,128}"?')  # the Hub's are digests
 
@@ -100,27 +102,25 @@ def _check_name(what: str, given: str | None, known: re.Pattern[str]) -> None:
 
 @contextlib.contextmanager
 def wary() -> Iterator[Wary]:
-    """Check every answer before huggingface_hub uses it."""
+    """Check every answer before huggingface_hub uses it; other threads wait for their turn."""
     from huggingface_hub import set_client_factory
     from huggingface_hub.utils import _http
 
     seen = Wary()
-    made = _http._GLOBAL_CLIENT_FACTORY  # of the user's, with their proxies and certificates
 
     def make() -> Any:
         client = made()
-        hooks = client.event_hooks
-        client.event_hooks = {
-            "request": [*hooks["request"], seen.ask],
-            "response": [*hooks["response"], seen.see],
-        }
+        asked, answered = (client.event_hooks[name] for name in ("request", "response"))
+        client.event_hooks = {"request": [*asked, seen.ask], "response": [*answered, seen.see]}
         return client
 
-    set_client_factory(make)
-    try:
-        yield seen
-    finally:
-        set_client_factory(made)
+    with ONE:
+        made = _http._GLOBAL_CLIENT_FACTORY  # of the user's, with their proxies and certificates
+        set_client_factory(make)
+        try:
+            yield seen
+        finally:
+            set_client_factory(made)
 
 
 def unreachable() -> tuple[type[Exception], ...]:
