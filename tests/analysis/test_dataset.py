@@ -1,6 +1,7 @@
 """Trajectories in files: what is read is what was played."""
 
 import json
+import struct
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -249,6 +250,16 @@ def test_episodes_that_do_not_fit_into_memory_are_left_with_what_helps(tmp_path,
     with pytest.raises(MemoryError, match=said):
         dataset.export(Random(), "maze", "corner", range(8), tmp_path / "set", batch=4)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_table_of_columns_in_columns_is_not_read_as_polars_would_end_python(tmp_path):
+    group, leaf = b"5\0\x18\1a\x15\2\0", b"\x15\4%\0\x18\1a\0"  # a column in a column, and numbers
+    parts = b"H\4root\x15\2\0" + 300 * group + leaf
+    footer = b"\x15\2\x19\xfc\xae\2" + parts + b"\x16\0\x19\x0c\0"
+    path = tmp_path / "episodes.parquet"
+    path.write_bytes(b"PAR1" + footer + struct.pack("<I", len(footer)) + b"PAR1")
+    with pytest.raises(ValueError, match=r"not a table .*: it must be of at most 254 columns"):
+        read_table(path)
 
 
 def test_the_verb_writes_agents_and_scripts(astray, tmp_path):

@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import re
 from pathlib import Path
 
 import polars as pl
@@ -12,6 +13,9 @@ from astray.validation import brief, path_of
 
 NUMBER = 8  # bytes of most of a table's values in memory
 SIGN = b"sha256 of the rest, by astray: "  # with a digest, between a Parquet file's data and footer
+# The footer's beginning, in Thrift: a version, and a list of the table, its columns, and what lies
+# in these. At some 400 that lie in each other, polars overflows its stack, which ends Python.
+FLAT = re.compile(rb"\x15.\x19([\x0c-\xec]|\xfc([\0-\x7f]|[\x80-\xff]\x01))", re.DOTALL)
 
 
 def write_table(table: pl.DataFrame, path: Path) -> None:
@@ -24,8 +28,7 @@ def write_table(table: pl.DataFrame, path: Path) -> None:
         table.write_csv(file)
         return write_aside(path, file.getvalue())
     table.write_parquet(file)
-    data = file.getvalue()
-    at = len(data) - 8 - int.from_bytes(data[-8:-4], "little")  # of the footer, its length, PAR1
+    at = _footer(data := file.getvalue())
     return write_aside(path, data[:at] + SIGN + hashlib.sha256(data).digest() + data[at:])
 
 
@@ -40,6 +43,8 @@ def read_table(path: Path, signed: bool = False) -> pl.DataFrame:
     rest = before + after[hashlib.sha256().digest_size :]
     if (sign or signed) and not after.startswith(hashlib.sha256(rest).digest()):
         raise ValueError(f"{path} is not a table of astray's: it has changed since it was written")
+    if not FLAT.match(data, _footer(data)):
+        raise ValueError(f"{path} is not a table of astray's: it must be of at most 254 columns")
     try:  # polars would expand [ and * in a path; damaged tables may make it panic
         file = pl.scan_parquet(io.BytesIO(data))
         count = file.select(pl.len()).collect().item() * len(file.collect_schema())
@@ -47,3 +52,8 @@ def read_table(path: Path, signed: bool = False) -> pl.DataFrame:
         return file.collect()
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise ValueError(f"{path} is not a table of astray's: {brief(error)}") from error
+
+
+def _footer(data: bytes) -> int:
+    """Return where a Parquet file's footer begins, after which are its length, and PAR1."""
+    return max(len(data) - 8 - int.from_bytes(data[-8:-4], "little"), 0)
