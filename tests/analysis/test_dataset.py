@@ -209,6 +209,7 @@ def bytes_of(value):
         ("steps/00000.parquet", bytes_of(b"\xff")("observation"), "numbers that it cannot have"),
         ("steps/00000.parquet", bytes_of(b"\xff")("state"), "state 0 is invalid"),
         ("steps/00000.parquet", C("observation").bin.slice(1), "cannot reshape array"),
+        ("steps/00000.parquet", pl.lit(b"").alias("state"), "is not as astray writes it"),
         ("steps/00000.parquet", C("reward").cast(pl.String), "is not as astray writes it"),
         ("steps/00000.parquet", C("reward") / 0.0, "must be finite"),
         ("steps/00000.parquet", C("action") + 99, "must be from 0 to 14; got"),

@@ -248,7 +248,7 @@ def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Traject
                 if left[told] < 0:
                     raise ValueError(f"episodes.parquet has no such episode of level {one.level}")
                 yield one
-    except (ValueError, TypeError, pl.exceptions.PolarsError) as error:
+    except (ValueError, TypeError, IndexError, pl.exceptions.PolarsError) as error:
         raise ValueError(f"{path} is not as astray writes it: {brief(error)}") from error
     if missing := left.total():
         raise ValueError(f"{folder} lacks the steps of {missing} episodes")
