@@ -408,6 +408,37 @@ def replayed(number):
     return _joined(parts)["actions"]
 
 
+LATE = """() => {
+  const ask = lab.engine.ask.bind(lab.engine);
+  const drawn = () => new Promise((heard) => { requestAnimationFrame(() => requestAnimationFrame(heard)); });
+  lab.engine.ask = async (...asked) => { lab.stage.redraw(); await drawn(); return ask(...asked); };
+}"""
+
+
+def test_a_level_is_not_drawn_as_one_of_the_game_that_is_chosen_next(chrome, static):
+    with opened(chrome, static) as (page, told):
+        page.evaluate(LATE)  # the page draws before an answer comes
+        page.click("[data-lab=once]")
+        wait(page, "lab.now === 1 && lab.episode.value.length > 1")
+        for agent in ("none maze", "many-chests", "maze-corner", "many-chests", "heist-small"):
+            page.select_option("[data-lab=agent]", agent)
+            wait(page, "lab.level.game === lab.game")
+        assert not told
+
+
+def test_before_its_first_level_a_page_is_clicked_in_vain(chrome, static):
+    page, told = chrome.new_page(), []
+    page.on("pageerror", lambda error: told.append(str(error)))
+    page.route("**/levels/**", lambda route: None)  # which does not come
+    page.goto(static)
+    wait(page, "globalThis.lab?.about && !lab.part('restore').disabled")
+    for name in ("world", "restore"):
+        page.dispatch_event(f"[data-lab={name}]", "pointerdown")
+        page.dispatch_event(f"[data-lab={name}]", "click")
+    assert not told
+    page.context.close()
+
+
 def test_what_covering_parts_does_is_what_captum_says(page):
     pytest.importorskip("captum", reason="captum is not installed")
     here, there = both(page, kind="attribution", **MAZE, level=3, method="occlusion")

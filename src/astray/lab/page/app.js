@@ -213,6 +213,7 @@ export class Lab {
   }
 
   async restore() {
+    if (!this.original) return; // before the first level
     this.#remember();
     await this.#change(this.original.level, this.original.number);
   }

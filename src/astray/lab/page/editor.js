@@ -54,7 +54,7 @@ export class Editor {
 
   #press(event) {
     const { lab } = this;
-    const cell = lab.stage.cellAt(event);
+    const cell = lab.level && lab.stage.cellAt(event);
     if (!cell || !lab.rules.editing) return;
     lab.part("board").focus({ preventScroll: true });
     event.target.setPointerCapture?.(event.pointerId);

@@ -26,7 +26,8 @@ export class Stage {
     this.waiting = true;
     requestAnimationFrame(() => {
       this.waiting = false;
-      if (this.lab.level) this.#draw();
+      const { level, game } = this.lab;
+      if (level && level.game === game) this.#draw(); // else one of another game is to come
     });
   }
 

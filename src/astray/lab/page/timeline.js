@@ -8,7 +8,7 @@ export function showTimeline(lab) {
   const { episode, now, part } = lab;
   const last = episode.actions.length;
   const canvas = part("timeline");
-  canvas.hidden = !last || episode.value.length < last + 1 || episode.value.includes(null);
+  canvas.hidden = !last || !lab.agent || episode.value.length < last + 1 || episode.value.includes(null);
   if (canvas.hidden) {
     part("bookmarks").replaceChildren();
     return;
