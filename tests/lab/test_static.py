@@ -410,8 +410,12 @@ def replayed(number):
 
 LATE = """() => {
   const ask = lab.engine.ask.bind(lab.engine);
-  const drawn = () => new Promise((heard) => { requestAnimationFrame(() => requestAnimationFrame(heard)); });
-  lab.engine.ask = async (...asked) => { lab.stage.redraw(); await drawn(); return ask(...asked); };
+  const next = (heard) => requestAnimationFrame(() => requestAnimationFrame(heard));
+  lab.engine.ask = async (...asked) => {
+    lab.stage.redraw();
+    await new Promise(next);
+    return ask(...asked);
+  };
 }"""
 
 
