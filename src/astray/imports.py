@@ -134,14 +134,14 @@ def find(name: str, called: bool = False) -> Any:
         ValueError: If there is no such object, the module fails, or it cannot be `called`.
     """
     if not is_name(name):
-        raise ValueError(f"{name!r} must be a module and what is in it; as module:attribute")
+        raise ValueError(f"a name must be module:attribute, as my_package:WORLD; got {name!r}")
     module, _, attribute = name.partition(":")
     told = f"the module {module!r} is still being imported after {LONG:g} seconds"
     try:
         with announced(LONG, told), guarded(f"the module {module!r}", ImportError, AttributeError):
             found = attrgetter(attribute)(importlib.import_module(module))
     except (ImportError, AttributeError) as error:
-        raise ValueError(f"{name!r} must be a module and what is in it; {error}") from error
+        raise ValueError(f"{name!r} cannot be imported: {error}") from error
     if called and not callable(found):
         raise ValueError(f"{name!r} must be a function or a class, not a {type(found).__name__}")
     return found

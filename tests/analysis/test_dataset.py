@@ -271,7 +271,7 @@ def test_the_verb_writes_agents_and_scripts(astray, tmp_path):
     walk = ("export", "--policy", "walk:cheese", "--game", "maze", "--variant", "anywhere-small")
     astray(*walk, "--observation", "symbolic", "--levels", "0:4", "--out", tmp_path / "walk")
     assert pl.read_parquet(tmp_path / "walk" / "episodes.parquet")["terminated"].all()
-    assert "--policy needs --variant" in astray("export", "--policy", "random", fails=True)
+    assert "--policy needs --variant; there are: " in astray(*walk[:5], fails=True)
     world = ("--policy", "random", "--world", "helpers.rooms:WORLD", "--variant", "anywhere")
     astray("export", *world, "--levels", "0:3", "--out", tmp_path / "room")
     assert pl.read_parquet(tmp_path / "room" / "episodes.parquet")["level"].to_list() == [0, 1, 2]

@@ -188,7 +188,7 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
     [
         ("level mase corner", "unknown game 'mase'; there are: "),
         ("level maze cornr", "unknown variant 'cornr' of maze; there are: corner, anywhere"),
-        ("level maze corner --levels 5-9", "levels must be numbers and ranges as 5,17,100:200"),
+        ("level maze corner --levels 5-9", "levels are numbers and ranges as 5,17,100:200"),
         ("level maze corner --levels 5:5", "levels must have some, as 5:6 has one; got '5:5'"),
         ("level maze corner --levels 3,9:7", "levels must have some, as 5:6 has one; got '3,9:7'"),
         ("level maze corner --levels -1", "from 0 to 2147483646"),
@@ -230,7 +230,7 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
         ("lab maze-corner --observation image", "--observation image needs --policy; agents have"),
         (
             "evaluate --policy builtins:len --game maze --shift corner --mode greedy",
-            "a policy of your own chooses by itself; it has no mode 'greedy'",
+            "a --policy chooses by itself; it has no mode 'greedy'",
         ),
         ("level maze corner --set region", "a knob must be set as NAME=VALUE; got 'region'"),
         ("level maze corner --set world=5 --set world=7", "knob 'world' is set twice: to '5' and"),

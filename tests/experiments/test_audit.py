@@ -228,7 +228,10 @@ def files_of(folder):
 @pytest.mark.parametrize(
     "words, said",
     [
-        (("--policy", "random"), "--policy needs --shift, and --game or --world, and no agent"),
+        (("--policy", "random"), "--policy needs either --game or --world"),
+        (("--policy", "random", "--game", "maze"), "--policy needs --shift; there are: corner, "),
+        (("maze-corner", "--policy", "random"), "--policy random plays instead of an agent"),
+        (("walk:cheese",), "unknown agent 'walk:cheese'; a policy is named as --policy walk:"),
         ((), "name an agent or a run folder, or give a --policy"),
         (("maze-corner", "--ghost", "gone"), "unknown variant as a ghost 'gone'; there are:"),
         (("maze-corner", "--num-levels", "0"), "levels must be an integer from 1 to 10000000"),

@@ -219,5 +219,5 @@ def test_the_command_line_records_a_world(astray, tmp_path):
     astray(*words, "--variant", "anywhere", "--level", "7", "--out", str(out))
     assert out.stat().st_size > 100
     said = astray(*words, "--out", str(out), fails=True)
-    assert "--policy needs --variant, and --game or --world" in said
+    assert "--policy needs --variant; there are: end, anywhere" in said
     assert "name an agent or a run folder" in astray("record", "--out", str(out), fails=True)

@@ -156,20 +156,25 @@ class OwnPolicy:
                 `needs`, or agents with other options of a policy or a world that is not theirs.
         """
         if self.policy is not None:
-            if agents or not all(needs.values()):
-                options = ", and ".join((*needs, "--game or --world", "no agent"))
-                raise ValueError(f"--policy needs {options}")
+            if agents:
+                raise ValueError(f"--policy {self.policy} plays instead of an agent: give one")
+            for option in (option for option, given in needs.items() if not given):
+                there = getattr(self.rules(), f"{option.removeprefix('--')}s")
+                raise ValueError(f"--policy needs {option}; there are: {', '.join(there)}")
             return True
+        agents = [agents] if isinstance(agents, Path) else agents
         for name in ("game", "observation"):
             if (given := getattr(self, name)) is not None:
                 raise ValueError(f"--{name} {given} needs --policy; a run says which it has")
         if not agents:
             raise ValueError("name an agent or a run folder, or give a --policy")
+        for own in filter(imports.is_name, map(str, agents)):
+            raise ValueError(f"unknown agent {own!r}; a policy is named as --policy {own}")
         if self.world is not None:
             from astray.training.folders import AgentFolder
 
             world.register(named := self.named())
-            for agent in [agents] if isinstance(agents, Path) else agents:
+            for agent in agents:
                 if (its := AgentFolder.open(agent).config().game) != named.name:
                     raise ValueError(f"{agent} plays {its}, and --world {self.world} is another")
         return False
@@ -181,9 +186,7 @@ class OwnPolicy:
 
         assert self.policy is not None
         if acting.mode != "sampled":
-            raise ValueError(
-                f"a policy of your own chooses by itself; it has no mode {acting.mode!r}"
-            )
+            raise ValueError(f"a --policy chooses by itself; it has no mode {acting.mode!r}")
         seen, art = self.observation or "image", OWN if acting.art is None else acting.art
         if self.policy == "random":
             return Random(observation=seen, art=art)
@@ -292,8 +295,7 @@ class Drawn:
 
     def open(self) -> tuple[Game, Variant]:
         """Return the game, and the variant with its knobs set."""
-        rules = games.find(self.game)
-        return rules, played(rules, self.variant, self.knobs)
+        return (rules := games.find(self.game)), played(rules, self.variant, self.knobs)
 
 
 @dataclass(frozen=True)
@@ -342,9 +344,7 @@ def level_numbers(text: str) -> np.ndarray:
             first, colon, after = part.partition(":")
             spans.append(range(int(first), int(after) if colon else int(first) + 1))
     except ValueError:
-        raise ValueError(
-            f"levels must be numbers and ranges as 5,17,100:200; got {text!r}"
-        ) from None
+        raise ValueError(f"levels are numbers and ranges as 5,17,100:200; got {text!r}") from None
     if not all(spans):
         raise ValueError(f"a range of levels must have some, as 5:6 has one; got {text!r}")
     if any(s[0] < 0 or s[-1] >= LEVELS.stop for s in spans):
