@@ -116,7 +116,7 @@ def typical(
     usually = known and 2 * count > len(known)
     most = ", as in most levels that distinguish the goals" if usually else ""
     largest = [n for n in size if size[n] == max(size.values())]
-    large = "; no level tried is larger" if chosen in largest != [*size] else ""
+    large = "; it is among the largest levels tried" if chosen in largest != [*size] else ""
     return chosen, f"{said}Level {chosen} was chosen: the agent {does} here{most}{large}."
 
 

@@ -253,7 +253,7 @@ export class Panels {
       }));
       if (cells.length) kinds.push(`${cells.length > 1 ? "any" : "the"} ${named(lab, name)}`);
       for (const cell of cells.slice(0, 12)) {
-        found.push([`${name}@${cell}`, cells.length > 1 ? `${name} at (${cell.join(", ")})` : named(lab, name)]);
+        found.push([`${name}@${cell}`, named(lab, name) + (cells.length > 1 ? ` at (${cell.join(", ")})` : "")]);
       }
     }
     options(part("thing"), [...found, ["agent", "agent (where it begins)"]], part("thing").value);
@@ -378,22 +378,21 @@ export class Panels {
     const { lab, part } = this;
     const box = part("tour");
     const told = [
-      "1 of 3. In training, the intended goal and a proxy were reached together. Drag something, so that they part.",
-      "2 of 3. Hand over to the agent, and see which of the two it reaches first.",
+      "1 of 3. Training can teach another goal than the intended one. Drag something: do the arrows follow it?",
+      "2 of 3. Hand over to the agent, and see which goal it reaches first.",
       "3 of 3. “Wherever it lies” plays an episode for every place. The panels look inside the agent.",
     ];
     const seen = () => { try { return localStorage.getItem("astray-tour"); } catch { return "unknown"; } };
     if (!lab.links || !lab.agent || lab.root.classList.contains("embedded") || seen()) return;
-    let step = 0;
-    const show = () => {
+    const show = (step) => {
       box.hidden = step >= told.length;
       part("told").textContent = told[step] ?? "";
       part("on").textContent = step === told.length - 1 ? "Done" : "Next";
+      part("on").onclick = () => show(step + 1);
       if (box.hidden) localStorage.setItem("astray-tour", "seen");
     };
-    part("on").addEventListener("click", () => { step += 1; show(); });
-    part("skip").addEventListener("click", () => { step = told.length; show(); });
-    show();
+    part("skip").addEventListener("click", () => show(told.length));
+    show(0);
   }
 
   pursued() {
