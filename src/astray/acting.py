@@ -387,7 +387,7 @@ def check_policy(policy: Any) -> None:
     """Raise ValueError unless `policy` is a policy with a name; a function is not."""
     if isinstance(policy, type) or not all(hasattr(policy, name) for name in POLICY):
         raise ValueError(
-            f"a policy must have {', '.join(POLICY)}: load_agent(...) gives one, and "
-            f"Function(...) makes one of a function; got {shown(policy)}"
+            f"a policy must have {', '.join(POLICY)}: load_agent(...) gives one; Function(...), "
+            f"Network(...), from_sb3(...) and from_torchrl(...) make one; got {shown(policy)}"
         )
     of_kind("a policy's name", policy.name, str)
