@@ -24,6 +24,7 @@ from unittest import mock
 from gallery import gallery as all_worlds
 from gallery import played
 from links import api_page, for_site
+from markdown.extensions.toc import slugify
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
@@ -48,6 +49,7 @@ SIDE = 256  # pixels of a level's picture
 WIDTH = "90"  # characters of a help text
 LAB_LEVELS, FIRST_LEVEL = 100, 17  # of the lab that is shown on the site
 FIRST = f"game=maze&variant=anywhere-small&agent=maze-corner&level={FIRST_LEVEL}"
+FINDINGS = ("results.md", "published.md", "what-helps.md", "field-worlds.md", "agency.md")
 MOST = 40  # rows of settings; a sweep may have more agents
 
 
@@ -281,12 +283,25 @@ def experiment_page(name: str) -> str:
         ),
         "Run again, it goes on where it stopped; agents are shared with the experiments that want "
         "the same. The report is one HTML file with claims, figures, tables and videos.",
+        found_in(name, experiment.title),
     ]
     links = filter(None, map(in_lab, experiment.sizes.values()))
     parts += [*dict.fromkeys(links)]
     for size, plan in experiment.sizes.items():
         parts += [f"## Size {size}", *size_parts(plan)]
     return "\n\n".join(map(str, parts))
+
+
+def found_in(name: str, title: str) -> str:
+    """Links to an experiment's claims in the register, and to the pages that say what it found."""
+    anchor = slugify(f"{name}: {title}", "-")
+    found = [f"[the claims, and when they were set](../register.md#{anchor})"]
+    for page in FINDINGS:
+        text = (ROOT / "docs" / page).read_text()
+        if f"`{name}`" in text:
+            heading = text.partition("\n")[0].removeprefix("# ")
+            found.append(f"[what was found: {heading.lower()}](../{page})")
+    return f"See {', '.join(found)}."
 
 
 def size_parts(plan: Plan) -> Iterator[str]:
