@@ -295,7 +295,8 @@ class Drawn:
 
     def open(self) -> tuple[Game, Variant]:
         """Return the game, and the variant with its knobs set."""
-        return (rules := games.find(self.game)), played(rules, self.variant, self.knobs)
+        rules = games.find(self.game)
+        return rules, played(rules, self.variant, self.knobs)
 
 
 @dataclass(frozen=True)
