@@ -294,14 +294,15 @@ def experiment_page(name: str) -> str:
 
 def found_in(name: str, title: str) -> str:
     """Links to an experiment's claims in the register, and to the pages that say what it found."""
-    anchor = slugify(f"{name}: {title}", "-")
-    found = [f"[the claims, and when they were set](../register.md#{anchor})"]
+    claims = f"../register.md#{slugify(f'{name}: {title}', '-')}"
+    found = []
     for page in FINDINGS:
         text = (ROOT / "docs" / page).read_text()
         if f"`{name}`" in text:
             heading = text.partition("\n")[0].removeprefix("# ")
-            found.append(f"[what was found: {heading.lower()}](../{page})")
-    return f"See {', '.join(found)}."
+            found.append(f"[{heading}](../{page})")
+    where = f", and what was found: {', '.join(found)}" if found else ""
+    return f"See [the claims, and when they were set]({claims}){where}."
 
 
 def size_parts(plan: Plan) -> Iterator[str]:
