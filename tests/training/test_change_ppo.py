@@ -148,7 +148,39 @@ class Doubles(MLP):
         return super().hidden(observation) * (1 + self.training)
 
 
-@pytest.mark.parametrize("network", [Normalises, OfInstances, Doubles])
+class DropsAndNormalises(Normalises):
+    """Does so under dropout that is no module, which hides it."""
+
+    def hidden(self, observation):
+        return nn.functional.dropout(super().hidden(observation), 0.5, self.training)
+
+
+class NormalisesLater(Normalises):
+    """Begins with a factor of 0, as branches of residual networks do."""
+
+    def __init__(self, a):
+        super().__init__(a)
+        nn.init.zeros_(self.norm.weight)
+
+    def hidden(self, observation):
+        return MLP.hidden(self, observation) + super().hidden(observation)
+
+
+class DoublesAndDrops(Doubles):
+    """Does so under dropout of pairs, which hides it."""
+
+    def __init__(self, a):
+        super().__init__(a)
+        self.dropout = nn.Dropout1d(0.5)
+
+    def hidden(self, observation):
+        return self.dropout(super().hidden(observation)[:, :, None])[:, :, 0]
+
+
+@pytest.mark.parametrize(
+    "network",
+    [Normalises, OfInstances, Doubles, DropsAndNormalises, NormalisesLater, DoublesAndDrops],
+)
 def test_a_network_that_is_another_in_learning_is_refused(network):
     """In the first minibatch the first one's policy was 1.5 nats from the one that had acted."""
     with (
@@ -165,7 +197,20 @@ class DropsAnyway(Tanh):
         return nn.functional.dropout(super().hidden(observation), 0.5, self.training)
 
 
-@pytest.mark.parametrize("network", [Tanh, Drops, DropsAnyway])
+class Frozen(Normalises):
+    """Keeps the means that it has, in learning, too."""
+
+    def __init__(self, a):
+        super().__init__(a)
+        self.norm = nn.Sequential(self.norm)
+
+    def train(self, mode=True):
+        super().train(mode)
+        self.norm[0].eval()
+        return self
+
+
+@pytest.mark.parametrize("network", [Tanh, Drops, DropsAnyway, Frozen])
 def test_a_network_without_memory_is_not_refused(network):
     with pytest.warns(UserWarning, match="as it is written"):
         assert next(loop.iterate(CONFIG, network=network)).metrics["update/first_kl"] >= 0

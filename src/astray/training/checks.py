@@ -46,13 +46,13 @@ def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
 
 @torch.no_grad()
 def check_modes(network: nn.Module, seen: Tensor) -> None:
-    """Raise ValueError if a network says otherwise in learning of observations [N, ...] `seen`.
-
-    It may only by dropout, not as with BatchNorm.
-    """
+    """Raise ValueError if outputs for observations `seen` [N, ...] differ in learning mode."""
     before, said = deepcopy(network.state_dict()), [network(seen)]
-    for part in network.modules():
-        part.train(not isinstance(part, nn.Dropout))
+    averages = False  # running means, which dropout or a factor of 0 may hide
+    for part in network.train().modules():
+        averages |= part.training and "running_mean" in dict(part.named_buffers(recurse=False))
+        if isinstance(part, nn.modules.dropout._DropoutNd):
+            part.eval()
     with torch.enable_grad(), torch.random.fork_rng([seen.device] if seen.is_cuda else []):
         for _ in range(2):
             said.append(network(seen))
@@ -60,7 +60,7 @@ def check_modes(network: nn.Module, seen: Tensor) -> None:
     network.eval()
     for acted, learned, again in zip(*said, strict=True):
         is_random = _size(again - learned) > ROUNDED * _size(learned)
-        if not is_random and _size(learned - acted) > _rounding(acted):
+        if averages or (not is_random and _size(learned - acted) > _rounding(acted)):
             raise ValueError(
                 "a network must say the same in acting and in learning, but for dropout; "
                 f"{type(network).__name__} does not, as with BatchNorm; LayerNorm does"
