@@ -14,7 +14,7 @@ import astray
 from astray.acting import Answer, initial_states
 from astray.agents.policy import Architecture
 from astray.cli.distil import distil
-from astray.training import checkpoint, ppo, teacher
+from astray.training import checkpoint, loop, ppo, teacher
 from astray.training.fast import acceleration
 from astray.training.folders import TEACHER
 from astray.training.loop import collect, improve, train
@@ -108,6 +108,18 @@ def test_a_student_without_its_teacher_or_with_another_is_refused(tmp_path, stud
     with pytest.raises(ValueError, match=r"must be the agent at .*; it is another"):
         teacher.give(other, student)
     assert (student / TEACHER).read_bytes() == weights.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "config, told",
+    [(STUDENT, "the teacher tiny must be at"), (replace(TINY, start="nobody"), "unknown agent")],
+)
+def test_an_agent_that_is_missing_is_told_before_a_game_is_compiled(
+    config, told, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(loop, "Trainer", None)  # which compiles its game
+    with pytest.raises((FileNotFoundError, ValueError), match=told):
+        train(config, tmp_path / "mouse", progress=False)
 
 
 def test_a_training_begins_with_the_weights_of_another_agent(tmp_path, weights, monkeypatch):

@@ -26,10 +26,10 @@ from astray.agents.policy import Architecture
 from astray.envs.pool import check_startable, most_threads
 from astray.training import checkpoint, parallel, ppo
 from astray.training.checks import check_converging, check_first, check_losses
-from astray.training.config import Config
+from astray.training.config import SOLVER, Config
 from astray.training.fast import acceleration
 from astray.training.fast.acceleration import Loss
-from astray.training.folders import START, TEACHER, AgentFolder
+from astray.training.folders import START, TEACHER, AgentFolder, steps_saved
 from astray.training.levels import MakeSampler
 from astray.training.log import Log
 from astray.training.ppo import Samples
@@ -214,16 +214,21 @@ def begin(
     config: Config, folder: Path | None, network: Any, loss: Any, sampler: Any, reward: Any = None
 ) -> Trainer:
     """Create the trainer, as the folder's last checkpoint or else the settings' `start` has it."""
+    taught = folder / TEACHER if folder and config.teacher is not None else None
+    if taught and config.teacher != SOLVER and not taught.exists():  # before a game is compiled
+        told = f"the teacher {config.teacher} must be at {taught}; see `astray distil`"
+        raise FileNotFoundError(told)
+    path = None
+    if config.start is not None and not (folder and steps_saved(folder)):
+        kept = folder / START if folder else None
+        path = kept if kept and kept.exists() else AgentFolder.open(config.start).weights
     with acceleration.torch_settings(config.threads):
-        taught = folder / TEACHER if folder and config.teacher is not None else None
         trainer = Trainer(config, network, loss, sampler, taught, reward)
         with contextlib.ExitStack() as stack:
             stack.callback(trainer.close)
             if folder:
                 checkpoint.restore(folder, trainer)
-            if config.start is not None and not trainer.steps:
-                kept = folder / START if folder else None
-                path = kept if kept and kept.exists() else AgentFolder.open(config.start).weights
+            if path:
                 policy.load_into(trainer.network, path, config.game, trainer.architecture)
             stack.pop_all()
     return trainer

@@ -115,12 +115,7 @@ class Teacher(Lessons):
 
     def __init__(self, path: Path, config: Config, student: Actor, rollout: Rollout):
         super().__init__(config, student, rollout)
-        try:
-            self.network, known = policy.load(path, config.game, config.device)
-        except FileNotFoundError:
-            raise FileNotFoundError(
-                f"the teacher {config.teacher} must be at {path}; see `astray distil`"
-            ) from None
+        self.network, known = policy.load(path, config.game, config.device)
         size = self.network.memory if isinstance(self.network, Recurrent) else 0
         # What a teacher with memory remembers of the student's episodes.
         self.state = torch.zeros((len(rollout.player.images), size), device=config.device)
