@@ -213,7 +213,7 @@ def checked(config: Config, network: Any, loss: Any, sampler: Any, reward: Any =
 def begin(
     config: Config, folder: Path | None, network: Any, loss: Any, sampler: Any, reward: Any = None
 ) -> Trainer:
-    """Create the trainer, as the folder's last checkpoint or else the settings' `start` has it."""
+    """Create or resume the trainer; raise FileNotFoundError if its teacher or start is missing."""
     taught = folder / TEACHER if folder and config.teacher is not None else None
     if taught and config.teacher != SOLVER and not taught.exists():  # before a game is compiled
         told = f"the teacher {config.teacher} must be at {taught}; see `astray distil`"
