@@ -11,7 +11,7 @@ from safetensors.numpy import load_file
 
 from astray import games
 from astray.acting import initial_states
-from astray.agents.policy import Architecture
+from astray.agents.policy import Architecture, weights
 from astray.analysis.adapters import Function
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.policies import Walk
@@ -135,10 +135,25 @@ def test_what_rewards_were_divided_by_is_told_where_it_was_kept(tmp_path, monkey
     assert 3 / told == pytest.approx(normaliser.scaled(np.array([3.0]))[0])
     assert named.about("whole")["reward_deviation"] is None
     named.open("divided")[0].path.with_name("trainer.safetensors").write_bytes(b"half of it")
-    assert (
-        named.about("divided")["reward_deviation"] is None
-    )  # as of pretrained agents, which have none
+    assert named.about("divided")["reward_deviation"] == told  # as its training removes it later
+    later = Agents.of({"divided": tmp_path / "divided"})
+    assert later.about("divided")["reward_deviation"] is None  # as pretrained agents' is
     assert named.about("maze-corner")["reward_deviation"] is None
+
+
+def test_an_agent_is_shown_as_it_is_when_its_training_has_gone_on(untrained, tmp_path):
+    """A lab of the agent of a checkpoint showed that of the last one; long paths were refused."""
+    architecture = load_agent("maze-corner").architecture
+    path = untrained(tmp_path / ("long-" * 30), architecture)
+    agent = load_agent(path.parent)
+    later = path.parent.with_name("2") / path.name
+    later.parent.mkdir()
+    later.write_bytes(weights(architecture.build(), architecture, "maze"))
+    session = Session(make_lab(agent, {"game": "maze"}))
+    told = ask(session, "fields", **MAZE | {"agent": session.lab.start["agent"]}, level=ROOM)
+    level = Level.from_text(*MAZE_TESTED[::2], ROOM)
+    (expected,) = fields(agent, "anywhere-small", {"": level})
+    assert np.allclose(sorted(told["value"]), sorted(expected.value), atol=1e-5)
 
 
 def test_fields_are_those_of_insight(session):

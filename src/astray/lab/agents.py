@@ -47,7 +47,7 @@ class Agents:
     paths: Mapping[str, Path]
     given: Mapping[str, Network | Opaque] = field(default_factory=dict)
     tested: str | None = None
-    _opened: dict[str, tuple[Agent, Config]] = field(default_factory=dict)
+    _opened: dict[str, tuple[Agent, Config, float | None]] = field(default_factory=dict)
     _visited: dict[tuple[str, str, int], np.ndarray] = field(default_factory=dict)
     _last: tuple[Any, Shown, Any] | None = None
 
@@ -67,8 +67,12 @@ class Agents:
             raise ValueError(f"the policy {name!r} has no run folder, with settings of a training")
         one_of("agent", name, self.names)
         if name not in self._opened:
-            self._opened[name] = open_run(self.paths[name])
-        return self._opened[name]
+            self.hold(name, *open_run(self.paths[name]))
+        return self._opened[name][:2]
+
+    def hold(self, name: str, agent: Agent, config: Config) -> None:
+        """Show an agent as it is, with the unit of its values, which its training removes later."""
+        self._opened[name] = agent, config, AgentFolder.of(agent.path).deviation()
 
     def player(self, name: str) -> Shown:
         """Return a named agent or policy; raise ValueError if there is none."""
@@ -131,7 +135,7 @@ class Agents:
             "network": config.network, "steps": config.steps,
             "knobs": {name: changed for name, changed in knobs.items() if changed},
             "gamma": config.gamma, "lam": config.lam,
-            "reward_deviation": AgentFolder.of(agent.path).deviation(),
+            "reward_deviation": self._opened[name][2],
         }  # fmt: skip
 
 

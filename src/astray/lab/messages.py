@@ -10,7 +10,7 @@ from astray.validation import MOST, bounded, of_kind, one_of, shown
 LARGEST = 2**18  # characters of a message; a level of CoinRun as JSON has some 20,000
 LONGEST = 2000  # steps of an episode that a page plays
 MOST_DRAWS = 20  # episodes for each place of a splay
-NAME = 100  # characters of a name
+NAME = 4096  # characters of a name; that of an agent may be its path
 
 Kind = Literal[
     "hello", "art", "level", "fields", "play", "posterior", "splay", "attribution", "route", "view",

@@ -32,20 +32,24 @@ def make_lab(agent: str | Path | Policy | None, start: Mapping[str, Any]) -> Lab
     of_kind("start", start, Mapping)
     runs: dict[str, Path] = {}
     given: dict[str, Network | Opaque] = {}
-    name = ""
+    name, loaded = "", None
     if agent is not None and not isinstance(agent, str | Path):
         check_policy(agent)
         found = looked_into(agent, games.find(start.get("game") or ""))
         if isinstance(found, Agent):
-            return make_lab(AgentFolder.of(found.path).path, start)
-        name = agent.name
-        given[name] = found
-    elif agent is not None:
+            its, loaded = AgentFolder.of(found.path), found
+            agent = its.weights.parent if its.is_older else its.path
+        else:
+            name = agent.name
+            given[name] = found
+    if isinstance(agent, str | Path):
         path = Path(agent)
         name = folders.name_of(path)
         if name == str(path) and (path.exists() or name not in folders.names()):
             runs[name] = path
     agents = Agents.of(runs, given=given, tested=start.get("variant"))
+    if loaded:
+        agents.hold(name, loaded, AgentFolder.of(loaded.path).config())
     if not name and start.get("game") is None:
         name = _first_agent(agents, start.get("variant"))
     first: dict[str, Any] = {"agent": name}
