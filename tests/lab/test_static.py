@@ -180,9 +180,15 @@ def test_a_walker_under_a_crate_that_is_lifted_is_in_the_level_as_in_python(page
     assert all(looks["walkers"] == walkers for _, looks in splayed)
 
 
-def test_a_level_of_coinrun_that_is_too_large_is_refused_in_python_s_words(page):
-    level = "\n".join([".@" + 63 * ".", 65 * "#"])
-    words = {"kind": "level", "game": "coinrun", "variant": "coin-end", "level": level}
+@pytest.mark.parametrize(
+    "game, variant, level",
+    [
+        ("coinrun", "coin-end", "\n".join([".@" + 63 * ".", 65 * "#"])),  # too large
+        ("maze", "anywhere-small", "@....Go" + 6 * "\n......."),  # of an object without a look
+    ],
+)
+def test_a_level_that_cannot_begin_is_refused_in_python_s_words(page, game, variant, level):
+    words = {"kind": "level", "game": game, "variant": variant, "level": level}
     said = page.evaluate("(m) => lab.engine.ask(m).catch((error) => error.message)", words)
     (told,) = Session(make_lab("maze-corner", {})).answers(json.dumps({"id": 1} | words))
     assert said == told["error"]

@@ -183,7 +183,8 @@ def truths(s: np.ndarray) -> dict[str, np.ndarray]:
             found[f"{place}_{axis}"] = within(s[f"{place}_{axis}"], NEVER, s["world"])
         found[place] = (s[f"{place}_x"] == NEVER) == (s[f"{place}_y"] == NEVER)
     for one, shapes in (("goal", SHAPES), ("other", OTHERS)):  # invisible without colour
-        found[f"{one}_shape"] = within(s[f"{one}_shape"], 0, len(shapes))
+        hidden = (one == "other") & (s["other_x"] != NEVER)  # a goal may be invisible, no other
+        found[f"{one}_shape"] = within(s[f"{one}_shape"], hidden, len(shapes))
         found[f"{one}_colour"] = within(s[f"{one}_colour"], s[f"{one}_shape"] > 0, len(COLOURS))
     return found
 
@@ -208,6 +209,8 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     s.x, s.y = agent[0] + 0.5, agent[1] + 0.5
     s.goal_x, s.goal_y = _only(cells, (GOAL, BOTH), "goal")
     s.other_x, s.other_y = _only(cells, (OTHER, BOTH), "other")
+    if s.other_x != NEVER and p.other_shape == 0:
+        raise ValueError("the other object would be invisible: the variant's other_shape is 'none'")
     if (cells == BOTH).any() and p.other_shape != DISH:
         raise ValueError("a goal lies on the other object only where that is a dish")
     rows, columns = np.nonzero(cells != WALL)

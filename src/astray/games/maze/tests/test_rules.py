@@ -23,8 +23,8 @@ ROOM = """
 """
 
 
-SEVEN = replace(VARIANTS["anywhere"], world=7, largest=7)
-THREE = replace(SEVEN, world=3, largest=3)
+SEVEN = replace(VARIANTS["yellow-star-red-gem"], world=7, largest=7)
+THREE = replace(VARIANTS["anywhere"], world=3, largest=3)
 
 
 def play(room, actions, variant=SEVEN):
@@ -98,6 +98,7 @@ def test_the_mouse_looks_where_it_was_told_to_go():
         ("####\n#@.#\n#..#\n####", "4 x 4 cells"),
         ("###\n#@?\n###", r"unknown '\?' at cell \(2, 1\)"),
         ("###\nG@G\n###", r"at most one goal; this has one at each of \[\(0, 1\), \(2, 1\)\]"),
+        ("###\n@.o\n###", "the other object would be invisible"),
     ],
 )
 def test_bad_drawings_are_explained(room, message):
@@ -147,6 +148,10 @@ def test_impossible_states_never_reach_compiled_code(field, value):
         env.set_state(states)
     with pytest.raises(ValueError, match=field):
         picture("maze", env.variant, states, 64)
+    states = env.states.copy()
+    states["other_x"][1] = states["other_y"][1] = 1  # of no shape: nothing is drawn
+    with pytest.raises(ValueError, match="other_shape"):
+        env.set_state(states)
     states = env.states.copy()
     states["cell"][1][int(states["y"][1]), int(states["x"][1])] = 1
     with pytest.raises(ValueError, match="cell of the mouse"):

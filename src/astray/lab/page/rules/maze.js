@@ -36,6 +36,9 @@ function build(s, p, { grid, cell, looks }) {
   [s.x, s.y] = [cell[0] + 0.5, cell[1] + 0.5];
   [s.goal_x, s.goal_y] = only(grid, [GOAL, BOTH], "goal");
   [s.other_x, s.other_y] = only(grid, [OTHER, BOTH], "other");
+  if (s.other_x !== NEVER && s.other_shape === 0) {
+    throw new Error("the other object would be invisible: the variant's other_shape is 'none'");
+  }
   if (cellsOf(grid, BOTH).length && s.other_shape !== DISH) {
     throw new Error("a goal lies on the other object only where that is a dish");
   }
