@@ -214,6 +214,18 @@ def test_a_file_with_another_digest_is_refused_and_forgotten(pushed, tmp_path, p
     ours.pull("ada/mouse")  # the cache is not supported the wrong one
 
 
+@pytest.mark.parametrize("was, wrong", [(b"{", b"["), (b'"sha256": "', b'"sha255": "')])
+def test_damaged_digests_are_refused_and_forgotten(pushed, tmp_path, was, wrong):
+    right = files(pushed)["digests.json"]
+    pushed.changed["digests.json"] = right.replace(was, wrong)
+    assert len(right) == len(pushed.changed["digests.json"]) and was in right
+    with pytest.raises(ValueError, match=r"digests\.json is not as astray writes it"):
+        ours.pull("ada/mouse")
+    assert nothing_is_left(tmp_path)
+    pushed.changed.clear()
+    ours.pull("ada/mouse")
+
+
 def rewritten(server, changes):
     """The repository with files changed, and digests.json to fit."""
     there = files(server) | changes

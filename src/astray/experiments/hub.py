@@ -143,12 +143,16 @@ def pull(
         # The cache has the commit in its paths, and notes by this which one the revision was.
         take = _taker(api, answers, repository, revision, offline)
         digests = take(DIGESTS, folders.LARGEST)
-        commit, promised = digests.parent.name, _promised(digests)
-        _check_name(repository, commit)
-        take = _taker(api, answers, repository, commit, offline)
-        for path, (size, digest) in promised.items():
-            here = take(path, LARGEST_AGENT if AGENT.fullmatch(path) else LARGEST)
-            write_aside(aside / path, _checked(repository, path, here, size, digest))
+        try:
+            commit, promised = digests.parent.name, _promised(digests)
+            _check_name(repository, commit)
+            take = _taker(api, answers, repository, commit, offline)
+            for path, (size, digest) in promised.items():
+                here = take(path, LARGEST_AGENT if AGENT.fullmatch(path) else LARGEST)
+                write_aside(aside / path, _checked(repository, path, here, size, digest))
+        except ValueError:
+            _forget(digests)  # the next pull asks for it again
+            raise
         _check_agent(repository, aside)
         source = {"repository": repository, "commit": commit, "revision": revision}
         write_aside(aside / HUB, json.dumps(source, indent=1).encode())
@@ -306,18 +310,23 @@ def _promised(file: Path) -> dict[str, tuple[int, str]]:
     return promised
 
 
-def _checked(repository: str, path: str, here: Path, size: int, digest: str) -> bytes:
-    """Return a file's contents; on a mismatch remove it from the cache and raise ValueError."""
+def _forget(here: Path) -> None:
+    """Remove a file from the cache."""
     from huggingface_hub import constants
 
-    data = read(here, LARGEST_AGENT)
-    found = hashlib.sha256(data).hexdigest()
-    if len(data) == size and found == digest:
-        return data
     cache = Path(constants.HF_HUB_CACHE).resolve()
     for place in {here, here.resolve()}:
         if place.parent.resolve().is_relative_to(cache):  # a link may lead to any file
             place.unlink(missing_ok=True)
+
+
+def _checked(repository: str, path: str, here: Path, size: int, digest: str) -> bytes:
+    """Return a file's contents; on a mismatch remove it from the cache and raise ValueError."""
+    data = read(here, LARGEST_AGENT)
+    found = hashlib.sha256(data).hexdigest()
+    if len(data) == size and found == digest:
+        return data
+    _forget(here)
     raise ValueError(
         f"{repository}: {path} is refused: its SHA-256 is {found} of {len(data):,} bytes, not "
         f"{digest} of {size:,} as {DIGESTS} says; it was removed, and nothing is imported"
