@@ -268,7 +268,7 @@ def test_what_is_told_of_a_level_must_be_true_of_it(first_levels):
 
 def test_objects_that_cannot_be_reached_are_named_with_their_cell():
     made = games.find("maze")
-    kind = made.variant("anywhere-small")
+    kind = made.variant("red-line-yellow-gem-small")
     drawing = "#######\n#.#...#\n#.###.#\n#....@#\n#.#####\n#G#.o.#\n#######"
     level = Level.from_text(made, kind, drawing)
     with pytest.raises(ValueError, match=r"other at cell \(4, 1\) cannot be reached from \(5, 3\)"):
