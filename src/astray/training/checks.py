@@ -51,7 +51,7 @@ def check_modes(network: nn.Module, seen: Tensor) -> None:
     averages = False  # running means, which dropout or a factor of 0 may hide
     for part in network.train().modules():
         averages |= part.training and "running_mean" in dict(part.named_buffers(recurse=False))
-        if isinstance(part, nn.modules.dropout._DropoutNd):
+        if isinstance(part, nn.Dropout.__bases__):  # dropout of any kind
             part.eval()
     with torch.enable_grad(), torch.random.fork_rng([seen.device] if seen.is_cuda else []):
         for _ in range(2):
