@@ -119,8 +119,8 @@ def test_a_test_that_agents_could_not_play_is_told_before_training(tmp_path, kno
 @pytest.mark.parametrize(
     "setting, said",
     [
-        ({"network": "no_such:Net"}, r"second cannot be trained: 'no_such:Net' must be a module"),
-        ({"loss": "no_such:loss"}, r"second cannot be trained: 'no_such:loss' must be a module"),
+        ({"network": "no_such:Net"}, r"second cannot be trained: 'no_such:Net' cannot be imported"),
+        ({"loss": "no_such:loss"}, r"second cannot be trained: 'no_such:loss' cannot be imported"),
         ({"device": "mps"}, r"second cannot be trained: there is no device 'mps'"),
         ({"network": "impala"}, r"second cannot be trained: network 'impala' does not see symb"),
         (

@@ -110,7 +110,7 @@ def test_an_entry_point_that_names_no_object_is_refused_with_the_form_of_a_name(
     offer(tmp_path, monkeypatch, broken="GAME = 3")
     entries = tmp_path / "guests-1.dist-info" / "entry_points.txt"
     entries.write_text(f"[{games.GROUP}]\nbroken = {value}\n")
-    with pytest.raises(ValueError, match=f"^'{value}' must be a module .*; as module:attribute$"):
+    with pytest.raises(ValueError, match=f"^a name must be module:attribute, .* got '{value}'$"):
         games.find("broken")
     games._offered.cache_clear()
 
