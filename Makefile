@@ -24,7 +24,8 @@ test: $(INSTALLED)
 # parsed is kept, as tests start many processes.
 test tested quick thorough fuzz: export OMP_NUM_THREADS ?= 1
 test tested quick thorough fuzz: export PYTHONDONTWRITEBYTECODE =
-PYTEST := $(BIN)/python -m pytest -n 3 --dist worksteal
+PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
+WORKERS = 3
 
 tested: compiled
 	$(PYTEST)
@@ -42,6 +43,7 @@ thorough: compiled
 # environments, training, checkpoints, analysis, experiments, the command line, types or documentation.
 QUICK := src tests/agency tests/kernel/test_kernel.py tests/art/test_art.py tests/games/test_reference.py \
 	tests/training/test_ppo.py tests/test_house.py
+quick: WORKERS = 2  # where no test waits, a third one is in the way
 quick: lint
 	$(PYTEST) $(QUICK)
 
