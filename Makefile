@@ -43,7 +43,8 @@ thorough: compiled
 # environments, training, checkpoints, analysis, experiments, the command line, types or documentation.
 QUICK := src tests/agency tests/kernel/test_kernel.py tests/art/test_art.py tests/games/test_reference.py \
 	tests/training/test_ppo.py tests/test_house.py
-quick: WORKERS = 2  # where no test waits, a third one is in the way
+# Its tests wait for nothing, so a third worker would be in the way.
+quick: WORKERS = 2
 quick: lint
 	$(PYTEST) $(QUICK)
 
