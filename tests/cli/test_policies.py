@@ -83,7 +83,7 @@ def test_what_a_policy_needs_besides_is_said(astray, verb):
 
 def test_an_agent_and_a_policy_are_not_one(astray):
     said = astray("agency", "maze-corner", "--policy", "random", *IN_MAZE, fails=True)
-    assert "plays instead of an agent: give one" in said
+    assert "replaces an agent: give one of them" in said
     assert "needs --policy" in astray("explain", "maze-corner", "--game", "maze", fails=True)
 
 

@@ -18,17 +18,24 @@ CONFIG = replace(
 OFF = {"fused_cpu": False, "bfloat16": False}
 
 
-class Tanh(MLP):
+class Given(MLP):
+    """A perceptron that is made of an architecture, as networks of one's own are."""
+
     def __init__(self, a):
         super().__init__(a.shape, list(a.largest), a.actions, a.width)
+
+
+class Tanh(Given):
+    def __init__(self, a):
+        super().__init__(a)
         self.features.relu1 = nn.Tanh()
 
 
-class TwoHeads(MLP):
+class TwoHeads(Given):
     """Also says which action was taken, from what both heads see."""
 
     def __init__(self, a):
-        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        super().__init__(a)
         self.taken = nn.Linear(a.width, a.actions)
 
 
@@ -69,11 +76,11 @@ def test_what_is_given_trains_as_it_is_written(own, names):
     assert metrics.keys() - usual.keys() == ({"auxiliary"} if own[-1] is with_auxiliary else set())
 
 
-class Remembers(MLP):
+class Remembers(Given):
     """Keeps its memory itself, as long as it is shown as many observations."""
 
     def __init__(self, a):
-        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        super().__init__(a)
         self.cell, self.state = nn.GRUCell(a.width, a.width), None
 
     def hidden(self, observation):
@@ -84,11 +91,11 @@ class Remembers(MLP):
         return self.state
 
 
-class Drifts(MLP):
+class Drifts(Given):
     """Says something else with every call, by less than a rollout shows."""
 
     def __init__(self, a):
-        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        super().__init__(a)
         self.calls = 0
 
     def hidden(self, observation):
@@ -96,11 +103,11 @@ class Drifts(MLP):
         return super().hidden(observation) * (1 + 1e-5 * self.calls)
 
 
-class Drops(MLP):
+class Drops(Given):
     """Is another network in learning than in acting, by as much as is usual."""
 
     def __init__(self, a):
-        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        super().__init__(a)
         self.dropout = nn.Dropout(0.5)
 
     def hidden(self, observation):
@@ -116,33 +123,30 @@ def test_a_network_that_keeps_its_memory_itself_is_refused(network):
         next(loop.iterate(CONFIG, network=network))
 
 
-class Normalises(MLP):
+class Normalises(Given):
     """Acts by the means of all minibatches, and learns by those of one."""
 
     def __init__(self, a):
-        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        super().__init__(a)
         self.norm = nn.BatchNorm1d(a.width)
 
     def hidden(self, observation):
         return self.norm(super().hidden(observation))
 
 
-class OfInstances(MLP):
+class OfInstances(Given):
     """Acts by running means, and learns by those of an observation; drops half of it."""
 
     def __init__(self, a):
-        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        super().__init__(a)
         self.norm, self.dropout = nn.InstanceNorm1d(1, track_running_stats=True), nn.Dropout(0.5)
 
     def hidden(self, observation):
         return self.dropout(self.norm(super().hidden(observation)[:, None])[:, 0])
 
 
-class Doubles(MLP):
+class Doubles(Given):
     """Says twice as much in learning."""
-
-    def __init__(self, a):
-        super().__init__(a.shape, list(a.largest), a.actions, a.width)
 
     def hidden(self, observation):
         return super().hidden(observation) * (1 + self.training)
@@ -163,7 +167,7 @@ class NormalisesLater(Normalises):
         nn.init.zeros_(self.norm.weight)
 
     def hidden(self, observation):
-        return MLP.hidden(self, observation) + super().hidden(observation)
+        return Given.hidden(self, observation) + super().hidden(observation)
 
 
 class DoublesAndDrops(Doubles):

@@ -13,8 +13,8 @@ from astray.validation import brief, path_of
 
 NUMBER = 8  # bytes of most of a table's values in memory
 SIGN = b"sha256 of the rest, by astray: "  # with a digest, between a Parquet file's data and footer
-# The footer's beginning, in Thrift: a version, and a list of the table, its columns, and what lies
-# in these. At some 400 that lie in each other, polars overflows its stack, which ends Python.
+# The footer's beginning, in Thrift: a version, and a list of at most 255 parts: the table, its
+# columns, and what lies in these. Some 400 in each other overflow polars' stack: Python ends.
 FLAT = re.compile(rb"\x15.\x19([\x0c-\xec]|\xfc([\0-\x7f]|[\x80-\xff]\x01))", re.DOTALL)
 
 

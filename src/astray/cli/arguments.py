@@ -157,7 +157,7 @@ class OwnPolicy:
         """
         if self.policy is not None:
             if agents:
-                raise ValueError(f"--policy {self.policy} plays instead of an agent: give one")
+                raise ValueError(f"--policy {self.policy} replaces an agent: give one of them")
             for option in (option for option, given in needs.items() if not given):
                 there = getattr(self.rules(), f"{option.removeprefix('--')}s")
                 raise ValueError(f"--policy needs {option}; there are: {', '.join(there)}")

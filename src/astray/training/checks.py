@@ -19,7 +19,7 @@ from astray.validation import shown
 # Largest difference between a network's outputs in acting and in learning: relative to their
 # deviation (rounding gives 1e-3, also in TF32, hidden state about 1), and to their size.
 APART, ROUNDED = 0.05, 1e-4
-SOME = 256  # observations of which a network is asked
+SOME = 256  # observations that a network is checked with
 UNROLLED = 8  # steps of sequences that are compared
 REPEATED = 1e-6  # likewise in two calls in a row, of its size: float32 is rounded by 6e-8
 
@@ -48,7 +48,7 @@ def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
 def check_modes(network: nn.Module, seen: Tensor) -> None:
     """Raise ValueError if outputs for observations `seen` [N, ...] differ in learning mode."""
     before, said = deepcopy(network.state_dict()), [network(seen)]
-    averages = False  # running means, which dropout or a factor of 0 may hide
+    averages = False  # whether there are running means, which dropout or a factor of 0 may hide
     for part in network.train().modules():
         averages |= part.training and "running_mean" in dict(part.named_buffers(recurse=False))
         if isinstance(part, nn.Dropout.__bases__):  # dropout of any kind
@@ -63,7 +63,7 @@ def check_modes(network: nn.Module, seen: Tensor) -> None:
         if averages or (not is_random and _size(learned - acted) > _rounding(acted)):
             raise ValueError(
                 "a network must say the same in acting and in learning, but for dropout; "
-                f"{type(network).__name__} does not, as with BatchNorm; LayerNorm does"
+                f"{type(network).__name__} does not. LayerNorm does, BatchNorm never does"
             )
 
 

@@ -137,9 +137,9 @@ def _clouds(across: np.ndarray, up: np.ndarray, k: int) -> np.ndarray:
         for shift in (-1.2, 0, 1.3):
             away = np.abs(across - x * WIDE - shift * (1 + big))
             away = np.minimum(away, WIDE - away) / (1.6 + big)
-            high = np.abs(up - 17 - 13 * y)[:, None] / (0.6 + 0.4 * big)
-            disc = np.ix_(high[:, 0] < 1, away < 1)  # all is far from most
-            clouds[disc] |= away[disc[1]] ** 2 + high[disc[0], 0] ** 2 < 1
+            high = np.abs(up - 17 - 13 * y) / (0.6 + 0.4 * big)
+            rows, columns = np.ix_(high < 1, away < 1)  # the disc lies within these
+            clouds[rows, columns] |= away[columns] ** 2 + high[rows] ** 2 < 1
     return clouds
 
 
