@@ -136,10 +136,24 @@ def test_a_training_begins_with_the_weights_of_another_agent(tmp_path, weights, 
     assert digest(tmp_path / "parts") == digest(tmp_path / "whole")
 
 
+@pytest.mark.parametrize(
+    "changes, told",
+    [
+        ({"game": "heist", "variant": "small", "validation": None, "knobs": {}}, "not of 'heist'"),
+        ({"network": "patch"}, "its network is .*name='mlp'.*the training .*name='patch'"),
+        ({"width": 8}, "its network is .*width=16.*the training .*width=8"),
+    ],
+)
+def test_a_start_of_another_kind_is_told_before_a_game_is_compiled(
+    changes, told, weights, monkeypatch
+):
+    monkeypatch.setattr(loop, "Trainer", None)  # which compiles its game
+    with pytest.raises(ValueError, match=told):
+        next(astray.iterate(TINY.changed(start=str(weights.parents[2]), **changes)))
+
+
 def test_a_training_that_cannot_begin_with_an_agent_says_so(tmp_path, weights):
     begun = replace(TINY, start=str(weights.parents[2]))
-    with pytest.raises(ValueError, match=r"its network is .*width=16.*the training .*width=8"):
-        next(astray.iterate(replace(begun, width=8)))
     with pytest.raises(FileNotFoundError, match="unknown agent 'nobody'"):
         train(replace(begun, start="nobody"), tmp_path / "mouse", progress=False)
     assert not (tmp_path / "mouse" / "config.json").exists()

@@ -130,11 +130,19 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
         return network.to(device).eval(), architecture
 
 
-def load_into(network: nn.Module, path: Path, game: str, known: Architecture | None = None) -> None:
-    """Load the weights in `path` into `network`.
+def load_into(network: nn.Module, path: Path, game: str, **known: Any) -> None:
+    """Load an agent's weights; raise FileNotFoundError or ValueError as `read_weights` does."""
+    tensors = read_weights(path, game, **known)
+    with _explained(path):
+        _check_weights(tensors, network)
+        network.load_state_dict(tensors)
+
+
+def read_weights(path: Path, game: str, **known: Any) -> dict[str, Tensor]:
+    """Return the weights of an agent.
 
     Args:
-        known: The network's architecture, which the agent's must be; None to check weights alone.
+        known: Fields of the architecture that it must have.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -142,10 +150,9 @@ def load_into(network: nn.Module, path: Path, game: str, known: Architecture | N
     """
     with _explained(path):
         tensors, its = _read(path, game)
-        if known not in (None, its):
-            raise ValueError(f"its network is {its}, and that of the training {known}")
-        _check_weights(tensors, network)
-        network.load_state_dict(tensors)
+        if its != (wanted := replace(its, **known)):
+            raise ValueError(f"its network is {its}, and that of the training {wanted}")
+        return tensors
 
 
 def _check_weights(tensors: dict[str, Tensor], network: nn.Module) -> None:

@@ -222,6 +222,8 @@ def begin(
     if config.start is not None and not (folder and steps_saved(folder)):
         kept = folder / START if folder else None
         path = kept if kept and kept.exists() else AgentFolder.open(config.start).weights
+        known = {"name": config.network, "scale": config.scale, "width": config.width}
+        policy.read_weights(path, config.game, **known)  # before a game is compiled
     with acceleration.torch_settings(config.threads):
         trainer = Trainer(config, network, loss, sampler, taught, reward)
         with contextlib.ExitStack() as stack:
@@ -229,7 +231,7 @@ def begin(
             if folder:
                 checkpoint.restore(folder, trainer)
             if path:
-                policy.load_into(trainer.network, path, config.game, trainer.architecture)
+                policy.load_into(trainer.network, path, config.game, **vars(trainer.architecture))
             stack.pop_all()
     return trainer
 
