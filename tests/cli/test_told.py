@@ -67,7 +67,7 @@ cli.main()
 )
 def test_a_signal_that_python_ignores_in_a_callback_ends_the_command(name, code, said):
     command = [sys.executable, "-c", IGNORED, name]
-    told = subprocess.run(command, capture_output=True, text=True)
+    told = subprocess.run(command, capture_output=True, text=True, timeout=25)  # it would wait 30
     assert (told.returncode, told.stdout, told.stderr) == (code, "", f"astray: {said}\n")
 
 

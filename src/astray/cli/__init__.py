@@ -72,7 +72,9 @@ def _interrupt_again(what: "sys.UnraisableHookArgs") -> None:
     if not issubclass(what.exc_type, KeyboardInterrupt):
         return sys.__unraisablehook__(what)
     number = signal.SIGTERM if what.exc_type is imports.Terminated else signal.SIGINT
-    again = threading.Timer(AGAIN, _thread.interrupt_main, [number])
+    # Windows has no signal that would also end a wait.
+    repeat = getattr(signal, "pthread_kill", lambda _, number: _thread.interrupt_main(number))
+    again = threading.Timer(AGAIN, repeat, [threading.main_thread().ident, number])
     again.daemon = True
     with contextlib.suppress(RuntimeError):  # Python ends, and starts no threads
         again.start()
