@@ -204,7 +204,7 @@ def test_pictures_have_as_many_pixels_as_fit_in_memory(pixels):
 
 def test_threads_that_cannot_be_started_are_an_error_and_none_is_left(monkeypatch):
     threading = pytest.importorskip("threading")
-    start, count, before = threading.Thread.start, iter(range(5)), threading.active_count()
+    start, count, before = threading.Thread.start, iter(range(5)), set(threading.enumerate())
 
     def refused(thread):
         if next(count, None) is None:
@@ -217,10 +217,9 @@ def test_threads_that_cannot_be_started_are_an_error_and_none_is_left(monkeypatc
     with pytest.raises(RuntimeError, match="9 threads are needed"):
         check_startable(9)
     monkeypatch.undo()
-    for thread in threading.enumerate():
-        if thread.name.startswith("astray-"):
-            thread.join(5)
-    assert threading.active_count() <= before
+    for thread in set(threading.enumerate()) - before:
+        thread.join(5)
+    assert set(threading.enumerate()) <= before
 
 
 @pytest.mark.parametrize("name, value", [

@@ -230,7 +230,7 @@ def files_of(folder):
     [
         (("--policy", "random"), "--policy needs either --game or --world"),
         (("--policy", "random", "--game", "maze"), "--policy needs --shift; there are: corner, "),
-        (("maze-corner", "--policy", "random"), "--policy random replaces an agent: give one of them"),
+        (("maze-corner", "--policy", "random"), "--policy random replaces an agent: give one"),
         (("walk:cheese",), "unknown agent 'walk:cheese'; a policy is named as --policy walk:"),
         ((), "name an agent or a run folder, or give a --policy"),
         (("maze-corner", "--ghost", "gone"), "unknown variant as a ghost 'gone'; there are:"),
