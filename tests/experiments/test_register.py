@@ -1,18 +1,48 @@
 """The register says what the studies claim, and its page is current."""
 
+import shutil
 from dataclasses import replace
 
 from astray.estimate import Estimate
 from astray.experiments import catalogue, outcomes
+from astray.report import page
 from astray.report.claims import Claim, above, corrected, every, near_zero
+from astray.report.findings import Findings, Heading
 from docs import register
 from helpers import registered
 
+PAGE = register.PAGE
 ONE = Estimate(0.97, 0.95, 0.98, 3, 100, 300, 2.0)
 
 
 def test_the_page_is_current():
     assert register.PAGE.read_text("utf-8") == register.page(), "python docs/register.py"
+
+
+def test_what_was_measured_is_of_claims_as_they_are_now():
+    for name, sizes in register.measured().items():
+        assert sizes.keys() <= catalogue.load(name).sizes.keys()
+        for report in sizes.values():
+            told = {of: ours.rpartition(" (")[0] for of, ours in report["claims"].items()}
+            claims = [Claim(of, "", ours, True) for of, ours in told.items()]
+            assert not registered.unstated(name, claims)
+
+
+def test_what_reports_measured_is_added_to_the_register(tmp_path, monkeypatch):
+    heading = Heading(**dict.fromkeys(Heading.__annotations__, ""))
+    what, much = "Where the gap is two rows higher, it walks into the lava.", replace(ONE, mean=0.6)
+    claims = corrected([above(what, "", "burns", much, 0.5), above("It flies.", "", "m", ONE, 0.5)])
+    findings = Findings(answer="", claims=claims, settings={})
+    page.write(heading, findings, tmp_path / "lava-bridge-smoke")
+    page.write(heading, findings, tmp_path / "no-such-study-smoke")
+    monkeypatch.setattr(register, "PAGE", tmp_path / PAGE.name)
+    shutil.copy(PAGE.with_suffix(".toml"), tmp_path)
+    register.PAGE.with_suffix(".json").write_text("{}")
+    register.add(tmp_path)
+    assert register.measured().keys() == {"lava-bridge"}
+    said = register._said("lava-bridge", "Where the gap is two rows …, it walks into the lava.")
+    assert said.startswith("`smoke`, supported: higher: burns: 60.0 % (95.0 to 98.0, over 3 agents")
+    assert "supported if" not in said and "; p = " in said
 
 
 def test_every_study_is_in_the_register():

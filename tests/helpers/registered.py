@@ -4,9 +4,7 @@ import re
 from collections.abc import Iterable
 
 from astray.report.claims import Claim
-from docs.register import register
-
-OPEN = "…"  # in a sentence or rule, for what depends on the size or on what was measured
+from docs.register import fits, register
 
 
 def rule_of(claim: Claim) -> str:
@@ -22,12 +20,8 @@ def unstated(name: str, claims: Iterable[Claim]) -> list[str]:
         f"{claim.sentence} Supported if {rule_of(claim)}."
         for claim in claims
         if not any(
-            _is(one["sentence"], claim.sentence.replace("\u00a0", " "))
-            and _is(one["rule"], rule_of(claim))
+            fits(one["sentence"], claim.sentence.replace("\u00a0", " "))
+            and fits(one["rule"], rule_of(claim))
             for one in stated
         )
     ]
-
-
-def _is(pattern: str, text: str) -> bool:
-    return bool(re.fullmatch(".*".join(map(re.escape, pattern.split(OPEN))), text))
