@@ -28,9 +28,9 @@ from astray.envs.steps import Reward as Reward
 from astray.envs.steps import Step as Step
 from astray.envs.steps import check_rows, choices, rows
 from astray.envs.vector import GameVectorEnv, Observation
-from astray.envs.worlds import WorldVectorEnv
+from astray.envs.worlds import WorldVectorEnv, check_repeats
 from astray.game import Game, Variant
-from astray.record import count_levels
+from astray.record import count_levels, level_numbers
 from astray.validation import MOST, bounded, of_kind, one_of, shown
 from astray.world import World, WorldVariant
 
@@ -346,6 +346,8 @@ def steps(
     bounded("batch", batch, 1, MOST)
     check_ending(game, variant, longest)
     n = min(int(batch), count)
+    if isinstance(game, World) and game.repeats:
+        check_repeats(game, variant := game.variant(variant), *level_numbers(levels)[[0, -1]])
     if isinstance(game, World) and game.workers and game.level_key is None:
         n = min(n, 2 * usable_processors())  # more processes take memory, and no less time
     env = without_autoreset(game, variant, n, policy.observation, policy.art, longest)

@@ -81,8 +81,28 @@ def test_environments_whose_levels_are_done_take_no_more_steps():
             taken.append(action)
             return super().step(action)
 
-    world = replace(WORLD, variants=dict.fromkeys(WORLD.variants, partial(Counted, "anywhere")))
+    variants = dict.fromkeys(WORLD.variants, partial(Counted, "anywhere"))
+    world = replace(WORLD, variants=variants, repeats=False)  # else some are tried first
     assert evaluate(RIGHT, world, "anywhere", LEVELS, batch=4)["length"].sum() == len(taken)
+
+
+class Moving(Room):
+    """Its square is further from the left in each episode; the level says nothing of it."""
+
+    episodes = 0
+
+    def reset(self, **given):
+        _, info = super().reset(**given)
+        self.episodes += 1
+        self.square = self.episodes % CELLS
+        return self._seen(), info
+
+
+@pytest.mark.parametrize("levels, last", [(LEVELS, 97), ([3], 3)])
+def test_an_environment_that_keeps_something_of_its_last_episode_is_refused(levels, last):
+    world = replace(WORLD, variants=dict.fromkeys(WORLD.variants, Moving))
+    with pytest.raises(ValueError, match=f"level 3 is another one .*, after level {last}: step 0"):
+        evaluate(RIGHT, world, "anywhere", levels)
 
 
 def test_outcomes_base_rates_and_distinguishing_levels_are_those_of_games():
@@ -265,7 +285,7 @@ def test_an_environment_that_hangs_in_this_process_is_interrupted():
 def test_the_level_that_is_played_twice_is_watched(trouble, workers, said):
     world = troubled(trouble, workers=workers, patience=2.0)
     with pytest.raises(RuntimeError, match=said):
-        check_repeats(world, world.variant("anywhere"), 3)
+        check_repeats(world, world.variant("anywhere"), 3, 3)
 
 
 @pytest.mark.parametrize("workers", [False, True])

@@ -25,7 +25,7 @@ from astray.analysis.outcomes import (
 from astray.analysis.policies import scripts_of
 from astray.analysis.results import ALL, APART, Result
 from astray.analysis.trained import Agent, Loaded
-from astray.envs.worlds import check_repeats, check_reported
+from astray.envs.worlds import check_reported
 from astray.game import Game, Shift, Variant
 from astray.level_files import read_levels
 from astray.training import folders
@@ -316,8 +316,6 @@ def play_all(
     if len({*each}) < len(each) or any(origin and name in alone for name, origin in each):
         raise ValueError(f"policies must have names of their own; got {', '.join(called)}")
     check_ending(game, variant, longest)
-    if isinstance(game, World) and isinstance(variant, WorldVariant) and game.repeats:
-        check_repeats(game, variant, int(next(iter(levels), 0)))  # none is told below
     how: Any = {"batch": batch, "measures": measures, "rewards": rewards}
     rehearse(policies if trial else (), game, variant, levels, **how)
     parts = []

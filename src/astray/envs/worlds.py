@@ -10,7 +10,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from pickle import PickleError
 from typing import Any
 
@@ -28,6 +28,7 @@ from astray.validation import MOST, bounded, brief, shown
 from astray.witness import NOTED, witnessed
 from astray.world import World, WorldVariant
 
+TRIED = 50  # steps of a level that is played twice
 _tell = cache(logging.getLogger("astray").warning)  # each text once
 # Gymnasium's warnings of an error in a process, which it also raises, and of an interrupt.
 RECEIVED = r"(?s).*(ERROR: (Received the following|Traceback|Raising the last)|Calling `close`)"
@@ -286,35 +287,34 @@ def check_reported(world: World) -> None:
             )
 
 
-def check_repeats(world: World, variant: WorldVariant, level: int, steps: int = 50) -> None:
-    """Check that a level is the same when it is played twice with the same actions.
+@lru_cache(1)  # several policies are evaluated one after the other
+def check_repeats(world: World, variant: WorldVariant, level: int, last: int) -> None:
+    """Check that a level is the same when it is played again, in an environment that played `last`.
 
     Otherwise results cannot be repeated, and nothing can be compared in the same levels.
 
     Raises:
-        ValueError: If the two episodes differ: the environment has randomness besides its seed.
+        ValueError: If the two episodes differ.
     """
-    bounded("steps", steps, 1, MOST)
-    first, again = (_played(world, variant, level, steps) for _ in range(2))
+    first, again = _played(world, variant, level), _played(world, variant, last, level)
     for time, (one, other) in enumerate(zip(first, again, strict=False)):
         if not data_equivalence(one, other, exact=True):
             raise ValueError(
                 f"{variant}, level {level} is another one when it is played again with the same "
-                f"actions: step {time} differs. Let all that is drawn come from the seed of the "
-                "reset, or say World(repeats=False): results will then differ from run to run"
+                f"actions, after level {last}: step {time} differs. Let all that is drawn come "
+                "from the seed of the reset, and nothing from the last episode, or say "
+                "World(repeats=False): results will then differ from run to run"
             )
 
 
-def _played(world: World, variant: WorldVariant, level: int, steps: int) -> list[Any]:
-    """Play random actions, watched as an evaluation: an environment may hang or its process die."""
-    env = WorldVectorEnv(world, variant, 1)
-    (space := deepcopy(env.single_action_space)).seed(level)  # it may be the class's
+def _played(world: World, variant: WorldVariant, *levels: int) -> list[Any]:
+    """Play random actions in `levels`, watched as an evaluation is; return the last episode."""
+    env, told = WorldVectorEnv(world, variant, 1), []
     with contextlib.closing(env):
-        told: list[Any] = [deepcopy(env.reset(options={"level": [level]})[0])]
-        for _ in range(steps):
-            action = np.array([space.sample()])
-            taken = env.step(action)[:4]
-            told.append(deepcopy((*taken, env.get_state().tobytes())))  # equal NaNs are equal bytes
-            if env.states["ended"][0]:
-                break
+        for level in levels:
+            (space := deepcopy(env.single_action_space)).seed(int(level))  # it may be the class's
+            told = [deepcopy(env.reset(options={"level": [level]})[0])]
+            while len(told) <= TRIED and not env.states["ended"][0]:
+                taken = env.step(np.array([space.sample()]))[:4]
+                told.append(deepcopy((*taken, env.get_state().tobytes())))  # NaNs as equal bytes
     return told
