@@ -181,15 +181,72 @@ class DoublesAndDrops(Doubles):
         return self.dropout(super().hidden(observation)[:, :, None])[:, :, 0]
 
 
+class Sharpens(Given):
+    """Is surer in acting, beside a little dropout of no module."""
+
+    def hidden(self, observation):
+        seen = super().hidden(observation)
+        return nn.functional.dropout(seen, 0.01) if self.training else 3 * seen
+
+
 @pytest.mark.parametrize(
     "network",
-    [Normalises, OfInstances, Doubles, DropsAndNormalises, NormalisesLater, DoublesAndDrops],
-)
+    [
+        Normalises, OfInstances, Doubles, DropsAndNormalises, NormalisesLater, DoublesAndDrops,
+        Sharpens,
+    ],
+)  # fmt: skip
 def test_a_network_that_is_another_in_learning_is_refused(network):
     """In the first minibatch the first one's policy was 1.5 nats from the one that had acted."""
     with (
         pytest.warns(UserWarning, match="as it is written"),
         pytest.raises(ValueError, match="the same in acting and in learning, but for dropout"),
+    ):
+        next(loop.iterate(CONFIG, network=network))
+
+
+class Listed(Given):
+    """Has a layer in a list, whose weights are in no file, nor does the optimizer know them."""
+
+    def __init__(self, a):
+        super().__init__(a)
+        self.more = [nn.Linear(a.width, a.width)]
+
+    def hidden(self, observation):
+        return self.more[0](super().hidden(observation))
+
+
+class Unsaved(Given):
+    """Multiplies by numbers that no file keeps."""
+
+    def __init__(self, a):
+        super().__init__(a)
+        self.factors = torch.randn(a.width)
+
+    def hidden(self, observation):
+        return super().hidden(observation) * self.factors
+
+
+class Centred(Given):
+    """Learns a mean that no file keeps."""
+
+    def __init__(self, a):
+        super().__init__(a)
+        self.mean = 0.0
+
+    def hidden(self, observation):
+        seen = super().hidden(observation) - self.mean
+        if self.training:
+            self.mean += 0.01 * float(seen.detach().mean())
+        return seen
+
+
+@pytest.mark.parametrize("network", [Listed, Unsaved, Centred])
+def test_a_network_that_its_file_does_not_hold_is_refused(network):
+    """It was another one whenever its agent was loaded."""
+    with (
+        pytest.warns(UserWarning, match="as it is written"),
+        pytest.raises(ValueError, match="its agent would be another one once it is loaded"),
     ):
         next(loop.iterate(CONFIG, network=network))
 

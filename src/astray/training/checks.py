@@ -21,6 +21,7 @@ from astray.validation import shown
 APART, ROUNDED = 0.05, 1e-4
 SOME = 256  # observations that a network is checked with
 UNROLLED = 8  # steps of sequences that are compared
+RANDOM = 3  # times the difference that randomness makes between two calls in learning
 REPEATED = 1e-6  # likewise in two calls in a row, of its size: float32 is rounded by 6e-8
 
 
@@ -31,13 +32,13 @@ class Diverged(RuntimeError):
 def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
     """Return how far accelerated outputs differ; raise ValueError if a network cannot learn."""
     config, using = trainer.config, trainer.fast.using
-    if not is_own(config.network):
-        seen = samples.observation
-        check_modes(trainer.network, seen[0] if isinstance(samples, Sequences) else seen[:SOME])
     if isinstance(samples, Sequences):
         check_recalled(trainer.network, samples)
     elif not using.of_network:
         check_memoryless(trainer.network, samples, config)
+    if not is_own(config.network):
+        seen = samples.observation
+        check_modes(trainer, seen[0] if isinstance(samples, Sequences) else seen[:SOME])
     if not using.bfloat16:
         return {}
     first = samples.at(torch.arange(config.batch // config.minibatches, device=config.device))
@@ -45,11 +46,14 @@ def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
 
 
 @torch.no_grad()
-def check_modes(network: nn.Module, seen: Tensor) -> None:
-    """Raise ValueError if outputs for observations `seen` [N, ...] differ in learning mode."""
-    before, said = deepcopy(network.state_dict()), [network(seen)]
-    averages = False  # whether there are running means, which dropout or a factor of 0 may hide
-    for part in network.train().modules():
+def check_modes(trainer: Trainer, seen: Tensor) -> None:
+    """Raise ValueError if outputs for observations `seen` [N, ...] differ in learning mode.
+
+    Or if its `state_dict`, which is all that a file keeps, does not decide them.
+    """
+    network, name = trainer.network, type(trainer.network).__name__
+    before, acted, averages, said = deepcopy(network.state_dict()), network(seen), False, []
+    for part in network.train().modules():  # dropout or a factor of 0 may hide running means
         averages |= part.training and "running_mean" in dict(part.named_buffers(recurse=False))
         if isinstance(part, nn.Dropout.__bases__):  # dropout of any kind
             part.eval()
@@ -57,13 +61,22 @@ def check_modes(network: nn.Module, seen: Tensor) -> None:
         for _ in range(2):
             said.append(network(seen))
             network.load_state_dict(before)  # its running means
-    network.eval()
-    for acted, learned, again in zip(*said, strict=True):
-        is_random = _size(again - learned) > ROUNDED * _size(learned)
-        if averages or (not is_random and _size(learned - acted) > _rounding(acted)):
+        torch.manual_seed(trainer.config.seed + 1)
+        anew = trainer.build(trainer.architecture).to(seen.device).eval()
+    anew.load_state_dict(before, strict=False)
+    said += [network.eval()(seen), anew(seen)]
+    for then, learned, again, now, loaded in zip(acted, *said, strict=True):
+        apart = max(_rounding(then), RANDOM * _size(again - learned))
+        if averages or _size(learned - then) > apart:
             raise ValueError(
                 "a network must say the same in acting and in learning, but for dropout; "
-                f"{type(network).__name__} does not. LayerNorm does, BatchNorm never does"
+                f"{name} does not. LayerNorm does, BatchNorm never does"
+            )
+        if _size(loaded - now) > ROUNDED * _size(now):
+            raise ValueError(
+                f"a network's state_dict must hold all that decides what it says; that of {name} "
+                "does not, so that its agent would be another one once it is loaded. Layers belong "
+                "in an nn.ModuleList, and constants in buffers"
             )
 
 

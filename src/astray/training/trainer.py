@@ -89,11 +89,11 @@ class Trainer:
                 f"shape {tuple(shown.shape[1:])}: observation 'symbolic' makes vectors for the "
                 "network 'mlp'"
             )
-        build = network or (Architecture.build if own else imports.find(config.network, True))
-        self._check_memory(build)
+        self.build = network or (Architecture.build if own else imports.find(config.network, True))
+        self._check_memory(self.build)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            self.network = build(self.architecture).to(config.device).eval()
+            self.network = self.build(self.architecture).to(config.device).eval()
             if not own:
                 name, seen = f"the network {config.network}", self.player.images.to(config.device)
                 with torch.no_grad(), imports.guarded(name, ValueError, ImportError):
