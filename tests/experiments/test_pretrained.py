@@ -190,6 +190,13 @@ def test_the_card_of_who_is_tested_where_it_was_trained_says_so(tmp_path):
     assert "they come apart on `bucket`, where it was trained." in (run / "README.md").read_text()
 
 
+def test_the_card_of_who_was_trained_elsewhere_says_where_the_goals_agree(tmp_path):
+    """It said that they agree where the agent was trained, which is in neither of the variants."""
+    run = shutil.copytree(folders.find("supervisor-half"), tmp_path / "run")
+    keep.write_card("robot", run, "never-absent-before", levels=4)
+    assert "they agree on `watched` and come" in (run / "README.md").read_text()
+
+
 def test_what_rewards_were_divided_by_is_kept(run, mouse):
     divisor = AgentFolder.open(run).deviation()
     assert divisor and divisor == AgentFolder.open(mouse).deviation()
