@@ -64,7 +64,7 @@ class Player:
         if (sampler is not None or isinstance(variant, WorldVariant)) and parallel.size() > 1:
             raise ValueError("with a sampler of levels, or a World, one process must train alone")
         self.sampler, self.learns, self._repeats = sampler, True, False
-        self._own_reward = reward
+        self._own_reward, self._levels = reward, levels
         self.here = parallel.shard(config.num_envs)  # this process's environments
         n = self.here.stop - self.here.start
         if n % groups:
@@ -192,6 +192,9 @@ class Player:
                 f"a sampler must return an array of {which.sum()} levels; got {shown(chosen)}"
             )
         option = "state" if chosen.dtype == self.game.state else "level"
+        if option == "level" and {*chosen.tolist()}.difference(known := self._levels):
+            told = f"{known.start} to {known.stop - 1}, as others are for tests"
+            raise ValueError(f"levels of a sampler must be from {told}; got {shown(chosen)}")
         begin = np.zeros(len(which), chosen.dtype)
         begin[which] = chosen
         images, _ = env.reset(options={option: begin, "reset_mask": which})
