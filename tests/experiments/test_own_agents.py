@@ -81,8 +81,8 @@ def test_a_test_without_end_is_told_before_anybody_trains(tmp_path):
 
 def test_agents_from_files_are_played_and_another_file_is_another_agent(tmp_path):
     files = [tmp_path / name for name in ("one", "two")]
-    for file in files:
-        file.write_text("1")
+    for file, often in zip(files, ("1", "0.9"), strict=True):
+        file.write_text(often)
     study = experiment(files=files)
     _, first = episodes_of(reproduce(study, "smoke", tmp_path).parent)
     files[1].write_text("0")
@@ -91,6 +91,20 @@ def test_agents_from_files_are_played_and_another_file_is_another_agent(tmp_path
     files[1].unlink()
     with pytest.raises(FileNotFoundError, match=r"there is no agent 'right' at .*two"):
         reproduce(study, "smoke", tmp_path)
+
+
+def same(seed, folder):
+    train(0, folder)
+
+
+@pytest.mark.parametrize("own", [{"train": same}, {"files": ["a.txt", "b.txt"]}])
+def test_one_agent_is_not_counted_as_several(own, tmp_path, monkeypatch):
+    """A training forgets its seed, or a file is a copy: intervals were those of two agents."""
+    monkeypatch.chdir(tmp_path)
+    for name in own.get("files", ()):
+        (tmp_path / name).write_text("0.5")
+    with pytest.raises(ValueError, match="are one agent; remove one, or let its training use"):
+        reproduce(experiment(**own), "smoke", tmp_path)
 
 
 def test_a_file_that_is_missing_is_told_before_anybody_trains(tmp_path):

@@ -296,9 +296,10 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
         whole: Experiment that computes further tables than the episodes.
     """
     agents = {n: [agent_digest(run, n in plan.own) for run in made] for n, made in runs.items()}
-    for name in agents.keys() - plan.own:
-        if len({*agents[name]}) < len(runs[name]):  # intervals would be too narrow
-            raise ValueError(f"two of {', '.join(map(str, runs[name]))} are one agent; remove one")
+    for name, made in agents.items():
+        if len({*made}) < len(made):  # intervals would be too narrow
+            told = f"two of {', '.join(map(str, runs[name]))} are one agent; remove one"
+            raise ValueError(f"{told}, or let its training use a seed of its own")
     loaded = [sys.modules[name] for name in catalogue.MODULES.values() if name in sys.modules]
     study = [module for module in loaded if module.EXPERIMENT is whole]
     code = (whole.find, study) if whole else ()
@@ -306,6 +307,7 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
         "configs": {n: [c.identity() for c in made] for n, made in plan.trainings().items()},
         "published": [read_config(runs[n][0]).identity() for n in runs if n in plan.published],
         "agents": agents,
+        "own": {name: [run.name for run in runs[name]] for name in plan.own},
         "tests": {name: asdict(test) for name, test in plan.tests.items()},
         "visited": {name: asdict(test) for name, test in plan.visited.items()},
         "levels": [plan.first_level, plan.levels, plan.longest],
@@ -361,5 +363,5 @@ def agent_digest(run: Path, is_own: bool = False) -> str:
     files = sorted(path for path in run.rglob("*") if path.is_file()) if run.is_dir() else [run]
     digest = hashlib.sha256()
     for file in files:
-        digest.update(file.relative_to(run.parent).as_posix().encode() + read(file))
+        digest.update(file.relative_to(run).as_posix().encode() + read(file))
     return digest.hexdigest()[:16]
