@@ -144,6 +144,24 @@ def test_chance_takes_any_actions_and_none_depends_on_the_batch():
     assert one.equals(two) and one["walked"].n_unique() > 1
 
 
+class Slippery(Room):
+    """Draws every third action from its own space, which the level's number seeds."""
+
+    def reset(self, *, seed=None, options=None):
+        self.action_space.seed(seed)
+        return super().reset(seed=seed, options=options)
+
+    def step(self, action):
+        return super().step(action if self.time % 3 else self.action_space.sample())
+
+
+def test_chance_seeds_no_space_that_an_environment_draws_from():
+    variants = dict.fromkeys(WORLD.variants, partial(Slippery, "anywhere", True))
+    world = replace(WORLD, variants=variants)
+    one, two = (evaluate(Random(), world, "anywhere", LEVELS, batch=n) for n in (1, 4))
+    assert one.equals(two)
+
+
 class Nameless(Exception):
     def __repr__(self):
         raise self

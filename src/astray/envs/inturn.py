@@ -1,6 +1,7 @@
 """Gymnasium environments in one process, stepped one after another."""
 
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from typing import Any
 
 import gymnasium
@@ -34,7 +35,8 @@ class InTurn(VectorEnv):
                 raise ValueError(
                     f"environments of a variant must have equal spaces; got {first} and {other}"
                 )
-        self.single_observation_space, self.single_action_space = first
+        # A copy, as an environment may draw from its own.
+        self.single_observation_space, self.single_action_space = deepcopy(first)
         self._observations: list[Any] = [None] * len(self._envs)
         self._resize()
 
