@@ -15,6 +15,7 @@ import threading
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
+from typing import ClassVar
 from unittest.mock import Mock
 
 import gymnasium
@@ -96,6 +97,36 @@ class Moving(Room):
         self.episodes += 1
         self.square = self.episodes % CELLS
         return self._seen(), info
+
+
+class Shared(Room):
+    """All of these have one place, as an object of the class's is of all."""
+
+    place_of_all: ClassVar = [0]
+
+    def reset(self, **given):
+        super().reset(**given)
+        self.x = int(self.np_random.integers(CELLS))
+        self.place_of_all[0] = self.x
+        return self._seen(), {}
+
+    def step(self, action):
+        self.x = self.place_of_all[0]
+        taken = super().step(action)
+        self.place_of_all[0] = self.x
+        return taken
+
+
+def test_environments_that_share_something_are_refused_where_several_play():
+    """In a batch of one each is by itself, and so is each with a process."""
+    world = replace(WORLD, variants=dict.fromkeys(WORLD.variants, Shared))
+    alone, apart = (
+        evaluate(RIGHT, replace(world, workers=workers), "anywhere", LEVELS, batch=batch)
+        for workers, batch in ((False, 1), (True, 4))
+    )
+    assert alone.equals(apart)
+    with pytest.raises(ValueError, match="last episode or another environment"):
+        evaluate(RIGHT, world, "anywhere", LEVELS)
 
 
 @pytest.mark.parametrize("levels, last", [(LEVELS, 97), ([3], 3)])
@@ -303,7 +334,7 @@ def test_an_environment_that_hangs_in_this_process_is_interrupted():
 def test_the_level_that_is_played_twice_is_watched(trouble, workers, said):
     world = troubled(trouble, workers=workers, patience=2.0)
     with pytest.raises(RuntimeError, match=said):
-        check_repeats(world, world.variant("anywhere"), 3, 3)
+        check_repeats(world, world.variant("anywhere"), 3, 3, 1)
 
 
 @pytest.mark.parametrize("workers", [False, True])

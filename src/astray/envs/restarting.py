@@ -83,7 +83,7 @@ class Restarting:
     ):
         """Make the environments; check that a level repeats if the world says that all do."""
         if world.repeats:
-            check_repeats(world, variant, levels[0], levels[-1])
+            check_repeats(world, variant, levels[0], levels[-1], num_envs)
         self._env = WorldVectorEnv(world, variant, num_envs)
         self._levels, self._observation = levels, observation
         try:

@@ -288,32 +288,37 @@ def check_reported(world: World) -> None:
 
 
 @lru_cache(1)  # several policies are evaluated one after the other
-def check_repeats(world: World, variant: WorldVariant, level: int, last: int) -> None:
+def check_repeats(world: World, variant: WorldVariant, level: int, last: int, n: int) -> None:
     """Check that a level is the same when it is played again, in an environment that played `last`.
 
-    Otherwise results cannot be repeated, and nothing can be compared in the same levels.
+    Otherwise results cannot be repeated, and nothing can be compared in the same levels. If `n`
+    environments will play in one process, another one plays `last` amid its episode.
 
     Raises:
         ValueError: If the two episodes differ.
     """
-    first, again = _played(world, variant, level), _played(world, variant, last, level)
+    first = _played(world, variant, False, level)
+    again = _played(world, variant, n > 1 and not world.workers, last, level)
     for time, (one, other) in enumerate(zip(first, again, strict=False)):
         if not data_equivalence(one, other, exact=True):
             raise ValueError(
                 f"{variant}, level {level} is another one when it is played again with the same "
                 f"actions, after level {last}: step {time} differs. Let all that is drawn come "
-                "from the seed of the reset, and nothing from the last episode, or say "
-                "World(repeats=False): results will then differ from run to run"
+                "from the seed of the reset, and nothing from the last episode or another "
+                "environment; World(workers=True) gives each a process. With World(repeats=False), "
+                "results differ from run to run"
             )
 
 
-def _played(world: World, variant: WorldVariant, *levels: int) -> list[Any]:
+def _played(world: World, variant: WorldVariant, amid: bool, *levels: int) -> list[Any]:
     """Play random actions in `levels`, watched as an evaluation is; return the last episode."""
     env, told = WorldVectorEnv(world, variant, 1), []
     with contextlib.closing(env):
         for level in levels:
             (space := env.single_action_space).seed(int(level))
             told = [deepcopy(env.reset(options={"level": [level]})[0])]
+            if amid:  # another environment plays, which may share something with this one
+                _played(world, variant, False, levels[0])
             while len(told) <= TRIED and not env.states["ended"][0]:
                 taken = env.step(np.array([space.sample()]))[:4]
                 told.append(deepcopy((*taken, env.get_state().tobytes())))  # NaNs as equal bytes
