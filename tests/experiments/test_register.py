@@ -93,3 +93,5 @@ def test_pages_say_that_two_agents_that_differ_find_no_rates():
     plan = replace(catalogue.load("maze-corner").sizes["smoke"], seeds=2)
     told = outcomes.settings(plan)["found with a power of 80\u00a0%"].replace("\u00a0", " ")
     assert "rates 39 % from their bound, or no rates where agents differ most" in told
+    alone = outcomes.settings(replace(plan, seeds=1))["found with a power of 80\u00a0%"]
+    assert alone.endswith("from their bound"), "one agent differs from no other"

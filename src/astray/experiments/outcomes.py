@@ -303,8 +303,8 @@ def settings(plan: Plan) -> dict[str, str]:
     return told | {
         "seeds": str(plan.seeds),
         "levels evaluated": str(plan.levels),
-        "found with a power of 80\u00a0%": f"{near}, or {far} where agents differ most, by a "
-        f"standard deviation of {100 * max(SPREADS):g}\u00a0%",
+        "found with a power of 80\u00a0%": near + f", or {far} where agents differ most, by a "
+        f"standard deviation of {100 * max(SPREADS):g}\u00a0%" * (far != near),
     }
 
 
