@@ -74,16 +74,20 @@ class WithCell(Recurrent):
     def unroll(
         self, observation: Tensor, state: Tensor, begins: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
-        seen = self.body.hidden(observation.flatten(0, 1)).unflatten(0, observation.shape[:2])
+        steps = observation.shape[:2]
+        seen = self.body.hidden(observation.flatten(0, 1)).unflatten(0, steps)
         changed = self.recalled._forward_hooks  # by analyses, step by step
         if isinstance(self.cell, nn.GRUCell) and seen.requires_grad and not changed:
             after = gru.unroll(self.cell, seen, state, begins)
-            return *self.body.heads(after), after[-1]
-        states = []
-        for features, first in zip(seen, begins, strict=True):
-            state = self._next(features, state, first)
-            states.append(state[:, : self.width])
-        return *self.body.heads(torch.stack(states)), state
+            state = after[-1]
+        else:
+            states = []
+            for features, first in zip(seen, begins, strict=True):
+                state = self._next(features, state, first)
+                states.append(state[:, : self.width])
+            after = torch.stack(states)
+        logits, values = self.body.heads(after.flatten(0, 1))  # hooks see a row per observation
+        return logits.unflatten(0, steps), values.unflatten(0, steps), state
 
     def _next(self, features: Tensor, state: Tensor, begins: Tensor) -> Tensor:
         state = state * ~begins[:, None]
