@@ -12,7 +12,7 @@ from astray.analysis.trained import Opaque
 from astray.insight import cell_probes
 from astray.insight.activations import activations, capture, layers
 from astray.insight.fields import fields, states_at
-from astray.insight.interventions import changed, interchange, steer, thinking
+from astray.insight.interventions import ablate, changed, interchange, steer, thinking
 from astray.insight.probes import probe
 from astray.training.loop import train
 from helpers.trainings import TINY
@@ -86,6 +86,28 @@ def test_a_steered_state_lasts_along_an_episode(agent, states):
     assert len(calls) == 4 and (abs(after - before) > 1e-6).all()
     with steer(agent, {layer: np.array(0.0)}):
         assert (policy_and_value(agent, seen, episode=True)[1] == before).all()
+
+
+def test_values_along_episodes_are_of_what_the_agent_remembers(agent):
+    rows, states = visit(agent, SMALL, range(200_000, 200_003), batch=2)
+    some, _ = visit(agent, SMALL, range(200_000, 200_003), per_episode=3)
+    episodes = np.split(observe(agent, SMALL, states), np.flatnonzero(states["time"] == 0)[1:])
+    slow = [policy_and_value(agent, shown, episode=True)[1] for shown in episodes]
+    assert np.array_equal(rows["value"], np.concatenate(slow))
+    assert not np.allclose(rows["value"], policy_and_value(agent, observe(agent, SMALL, states))[1])
+    both = some.join(rows, on=["level", "step"], validate="1:1")
+    assert len(both) == len(some) and both["value"].equals(both["value_right"].alias("value"))
+
+
+@pytest.mark.parametrize("layer", ["body.policy", "body.value"])
+def test_heads_along_an_episode_are_layers_with_a_row_per_step(mouse, states, layer):
+    along = capture(mouse, SMALL, states, [layer], episodes=True).values[layer]
+    assert along.shape == (len(states), *layers(mouse)[layer])
+    shown = observe(mouse, SMALL, states[: np.flatnonzero(states["time"] == 0)[1]])
+    with ablate(mouse, "body.policy", [3]):
+        logits, _ = mouse.outputs(shown, episode=True)
+    plain, _ = mouse.outputs(shown, episode=True)
+    assert (logits[:, 3] == 0).all() and torch.equal(logits[:, :3], plain[:, :3])
 
 
 def test_states_that_are_not_whole_episodes_are_refused(planner, states):

@@ -6,7 +6,8 @@
     pairs = counterfactual(agent, "coin-anywhere", states, edits.without_coin)
 
 Values have the unit of the training's rewards: with `normalise_reward`, standard deviations of
-returns, as in the paper.
+returns, as in the paper. An agent with memory remembers its episode in `visit`; elsewhere it is
+asked as at the beginning of one.
 """
 
 import heapq
@@ -71,12 +72,21 @@ def visit(
     heaps: list[list[tuple]] = [[] for _ in range(count)]  # (-noise, step, state, action, reward)
     limit = np.full(count, np.inf)  # the steps with the least noise are kept
     rewards: list[list[float]] = [[] for _ in levels]
+    shown: list[list[np.ndarray]] = [[] for _ in levels]  # to an agent with memory
+    along: list[np.ndarray] = [np.empty(0)] * count  # its values
     world = replace(agent.game, every_step=True) if isinstance(agent.game, World) else None
     game = world or agent.game
     for step in steps(agent, game, variant, levels, batch=batch, longest=longest):
         before = world.shown(step.before, step.observations) if world else step.before
         for level, reward in zip(step.level, step.rewards, strict=True):
             rewards[level].append(float(reward))
+        if agent.caveat:
+            seen = before[SEEN] if world else step.observations
+            for k, level in enumerate(step.level):
+                shown[level].append(seen[k].copy())
+            for level in step.level[step.ended]:
+                along[level] = policy_and_value(agent, np.stack(shown[level]), episode=True)[1]
+                shown[level] = []
         noise = episode_noise(seed, step.before, 1, STEP_SALT)
         for i in np.flatnonzero(noise[:, 0] < limit[step.level]):
             heap, one = heaps[step.level[i]], slice(i, i + 1)
@@ -90,13 +100,17 @@ def visit(
     states = states.view(np.recarray)
     for name in {"seed", "turn"} & {*(states.dtype.names or ())}:
         states[name] = 0  # about later levels, which depend on the batch
-    value = policy_and_value(agent, observe(agent, variant, states))[1]
+    kept = [sorted(int(row[1][0]) for row in heap) for heap in heaps]  # steps
+    if agent.caveat:
+        value = np.concatenate([one[where] for one, where in zip(along, kept, strict=True)])
+    else:
+        value = policy_and_value(agent, observe(agent, variant, states))[1]
     columns = {"value": value, "action": action, "reward": reward}
     if gamma is not None:
         futures = []
-        for heap, one in zip(heaps, rewards, strict=True):
+        for where, one in zip(kept, rewards, strict=True):
             sums = [*accumulate(reversed(one), lambda after, reward: reward + gamma * after)]
-            futures += [sums[-1 - step] for step in sorted(int(row[1][0]) for row in heap)]
+            futures += [sums[-1 - step] for step in where]
         columns["future"] = np.array(futures)
     return _table(states, columns, measures), states
 
