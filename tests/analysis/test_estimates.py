@@ -14,6 +14,7 @@ from astray.analysis.estimates import (
     estimate_paired,
     group_means,
     group_rates,
+    mean_of,
     over_agents,
     quantile,
 )
@@ -305,3 +306,15 @@ def test_what_is_not_finite_has_no_interval():
         ):
             assert np.isnan([found.mean, found.low, found.high]).all(), (wrong, found)
             assert found.rows == plain[: found.agents].size
+
+
+@pytest.mark.parametrize("value", [0.1, 1 / 3, -0.01, 123.4])
+def test_equal_values_in_unequally_many_rows_have_a_width(value):
+    """Their sums are rounded, so that deviations are not quite 0."""
+    counts = np.random.default_rng(0).integers(1, 20, 24)
+    rows = pl.DataFrame(
+        {"agent": k % 3, "level": k // 3, "value": value} for k in np.arange(24).repeat(counts)
+    )
+    found = mean_of(rows, "value")
+    assert found.mean == pytest.approx(value)
+    assert found.high - found.low > 0.1

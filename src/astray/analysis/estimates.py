@@ -28,6 +28,7 @@ from astray.validation import MOST, bounded, finite, of_kind, one_of, shown
 
 CONFIDENCE = 0.95
 POWER = 0.8
+ROUNDED = 1e-12  # relative deviation up to which values count as equal
 
 
 def quantile(freedom: float, below: float = (1 + CONFIDENCE) / 2) -> float:
@@ -333,7 +334,9 @@ def _ends(mean: float, square: float, rate: bool, least: float) -> tuple[float, 
             value may still occur.
     """
     if not rate:
-        half = math.sqrt(square) or least / (1 + least) * max(1.0, abs(mean))
+        half = math.sqrt(square)
+        if half <= ROUNDED * abs(mean):
+            half = least / (1 + least) * max(1.0, abs(mean))
         return mean - half, mean + half
     variance = mean * (1 - mean)
     ratio = square / variance if square and variance > 0 else least
