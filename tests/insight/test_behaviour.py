@@ -99,3 +99,9 @@ def test_two_predictions_are_compared_on_the_same_draws_of_levels():
     assert ahead.low > 0.1 and ahead.mean == pytest.approx(one.auc.mean - blind.auc.mean)
     with pytest.raises(ValueError, match="of the same levels"):
         one.better_than(predict(rows.head(200), "y", ["x"]))
+
+
+def test_a_feature_of_equal_reals_is_refused(caused):
+    rows = caused.with_columns(same=pl.lit(0.3))  # the deviation of these is 1e-16
+    with pytest.raises(ValueError, match="same is the same in all levels"):
+        predict(rows, "outcome", ["same"])

@@ -239,3 +239,10 @@ def test_the_nearest_key_is_told():
 
 def test_a_reading_of_nothing_has_no_sign():
     assert probes._as_text(lambda s: s, np.dtype(float), -0.04) == "0.0"
+
+
+@pytest.mark.parametrize("value", [0.3, 2.0])
+def test_a_label_of_equal_reals_is_left_out(mouse, states, value):
+    same = {"same": lambda s: np.full(len(s), value)}  # the deviation of 0.3 is 1e-16
+    with pytest.raises(ValueError, match="no label of same"):
+        probes.probe(mouse, "anywhere-small", states, ["features.relu1"], same)

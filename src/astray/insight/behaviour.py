@@ -129,9 +129,9 @@ def predict(
             f"{outcome} must be true in {FOLDS} levels and false in {FOLDS}; "
             f"it is true in {y.sum()} of {len(y)}"
         )
-    deviation = x.std(0)
-    if not deviation.all():
-        flat = [name for name, d in zip(features, deviation, strict=True) if not d]
+    deviation, varies = x.std(0), np.ptp(x, axis=0) != 0  # equal reals can have one
+    if not varies.all():
+        flat = [name for name, some in zip(features, varies, strict=True) if not some]
         raise ValueError(f"features must vary; {', '.join(flat)} is the same in all levels")
     x = (x - x.mean(0)) / deviation
     random = np.random.default_rng(seed)

@@ -130,7 +130,7 @@ def _usable(y: np.ndarray, fold: np.ndarray) -> np.ndarray:
     kinds = y.astype(np.int64) if is_class(y) else np.where(np.isfinite(y), 0, -1)
     counted = zip(*np.unique(kinds[kinds >= 0], return_counts=True), strict=True)
     usable = [k for k, n in counted if n >= LEAST and np.unique(fold[kinds == k]).size > 1]
-    enough = len(usable) > is_class(y) and (is_class(y) or np.nanstd(y) > 0)
+    enough = len(usable) > is_class(y) and (is_class(y) or np.ptp(y[kinds == 0]) > 0)
     return np.isin(kinds, usable if enough else [])
 
 
