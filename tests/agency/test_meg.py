@@ -129,3 +129,10 @@ def test_what_is_no_process_is_refused():
     for start in (0.5, True, "0", None):
         with pytest.raises(ValueError, match="start must be an integer from 0 to 1; got"):
             Process(np.array([[0, 1]] * 2), np.ones((2, 2), bool), start)  # pyright: ignore
+
+
+def test_the_last_state_may_be_one_to_which_no_action_leads():
+    process = Process(CHOICE.after[[1, 2, 0]] - 1, CHOICE.possible[[1, 2, 0]], 2)
+    policy = np.array([[0.5, 0.5], [0.5, 0.5], [0.9, 0.1]])
+    there = goal_directedness(CHOICE, policy[[2, 0, 1]], 1)
+    assert goal_directedness(process, policy, 0).nats == pytest.approx(there.nats)

@@ -112,7 +112,7 @@ class Process:
             mean = np.where(ends, 1.0, soft.sum(1))
             new = np.where(ends, 0.0, most + np.log(mean))
             next_to = self.discount * soft / mean[:, None]
-            along = csc_array((next_to.flat, (states.flat, self.after.flat)))
+            along = csc_array((next_to.flat, (states.flat, self.after.flat)), (len(value),) * 2)
             step = spsolve(eye_array(len(value)) - along, new - value)
             value = value + step
             if (np.abs(step) <= PRECISION * (1 + 1e-3 * np.abs(value))).all():
