@@ -72,21 +72,20 @@ def visit(
     heaps: list[list[tuple]] = [[] for _ in range(count)]  # (-noise, step, state, action, reward)
     limit = np.full(count, np.inf)  # the steps with the least noise are kept
     rewards: list[list[float]] = [[] for _ in levels]
-    shown: list[list[np.ndarray]] = [[] for _ in levels]  # to an agent with memory
-    along: list[np.ndarray] = [np.empty(0)] * count  # its values
+    shown: dict[int, list[np.ndarray]] = {}  # to an agent with memory; its values are `along` them
+    along: dict[int, np.ndarray] = {}
     world = replace(agent.game, every_step=True) if isinstance(agent.game, World) else None
     game = world or agent.game
     for step in steps(agent, game, variant, levels, batch=batch, longest=longest):
         before = world.shown(step.before, step.observations) if world else step.before
-        for level, reward in zip(step.level, step.rewards, strict=True):
-            rewards[level].append(float(reward))
-        if agent.caveat:
-            seen = before[SEEN] if world else step.observations
-            for k, level in enumerate(step.level):
-                shown[level].append(seen[k].copy())
-            for level in step.level[step.ended]:
-                along[level] = policy_and_value(agent, np.stack(shown[level]), episode=True)[1]
-                shown[level] = []
+        seen = before[SEEN] if world else step.observations
+        for k, level in enumerate(step.level):
+            rewards[level].append(float(step.rewards[k]))
+            if agent.caveat:
+                shown.setdefault(level, []).append(seen[k].copy())
+                if step.ended[k]:
+                    whole = np.stack(shown.pop(level))
+                    along[level] = policy_and_value(agent, whole, episode=True)[1]
         noise = episode_noise(seed, step.before, 1, STEP_SALT)
         for i in np.flatnonzero(noise[:, 0] < limit[step.level]):
             heap, one = heaps[step.level[i]], slice(i, i + 1)
@@ -102,7 +101,7 @@ def visit(
         states[name] = 0  # about later levels, which depend on the batch
     kept = [sorted(int(row[1][0]) for row in heap) for heap in heaps]  # steps
     if agent.caveat:
-        value = np.concatenate([one[where] for one, where in zip(along, kept, strict=True)])
+        value = np.concatenate([along[level][where] for level, where in enumerate(kept)])
     else:
         value = policy_and_value(agent, observe(agent, variant, states))[1]
     columns = {"value": value, "action": action, "reward": reward}

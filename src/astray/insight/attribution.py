@@ -57,8 +57,8 @@ def integrated_gradients(
 ) -> np.ndarray:
     """Return integrated gradients of `observations` [N, ...] (Sundararajan et al. 2017), [N, ...].
 
-    A map sums to the value's difference from the baseline; for images to a third of that, because
-    it is the mean over three colours.
+    A map sums to the value's difference from the baseline, the more exactly the more `steps`; for
+    images to a third of that, because it is the mean over three colours.
 
     Args:
         baseline: [...] or [N, ...]: one observation or one for each, such as states without the
