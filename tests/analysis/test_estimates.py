@@ -318,3 +318,17 @@ def test_equal_values_in_unequally_many_rows_have_a_width(value):
     found = mean_of(rows, "value")
     assert found.mean == pytest.approx(value)
     assert found.high - found.low > 0.1
+
+
+def test_rows_of_rates_are_the_episodes_that_were_played():
+    """Two agents that played other levels have as many episodes, not each in all levels."""
+    table = {"policy": "p", "variant": "v", "seed": [0, 0, 1], "level": [1, 2, 3]}
+    episodes = pl.DataFrame(table | {"outcome": [INTENDED, FAILED, FAILED]})
+    found = rates(episodes, outcomes=[INTENDED, FAILED])
+    assert found["rows"].to_list() == [3, 3] and found["levels"].to_list() == [3, 3]
+
+
+def test_rows_without_a_level_are_refused():
+    rows = pl.DataFrame({"level": [1, None, 2], "value": [1.0, 2.0, 3.0], "kind": "a"})
+    with pytest.raises(ValueError, match="each row must have a level; 1 of 3 have none"):
+        group_means(rows, "value", ["kind"])

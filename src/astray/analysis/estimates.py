@@ -424,7 +424,12 @@ def in_cells(
 
     Args:
         agent: Columns that identify an agent; without any, all rows are of one.
+
+    Raises:
+        ValueError: If a row has no level.
     """
+    if nulls := rows["level"].null_count():
+        raise ValueError(f"each row must have a level; {nulls} of {len(rows)} have none")
     numbers = rows.select(
         (pl.struct(agent).rank("dense") if agent else pl.lit(1)).alias("agent"),
         pl.col("level").rank("dense"),

@@ -5,7 +5,7 @@ An episode has one outcome: the intended goal, goal misgeneralization, one of th
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -216,7 +216,8 @@ def _mean(episodes: pl.DataFrame, value: pl.Expr) -> Estimate:
     agent = [name for name in AGENT if name in episodes.columns]
     table = episodes.select(*agent, "level", value=value)
     rate = table["value"].dtype == pl.Boolean
-    return estimate_mean(*in_cells(table, agent, "value"), rate=rate)
+    found = estimate_mean(*in_cells(table, agent, "value"), rate=rate)
+    return replace(found, rows=len(table))  # not of all agents in all levels
 
 
 def matrix(episodes: pl.DataFrame, value: pl.Expr) -> np.ndarray:
