@@ -127,6 +127,13 @@ def test_what_is_sent_is_no_more_than_was_said(hub, tmp_path, headers, said):
     assert outside(tmp_path) in (["agents", "mine"], ["mine"])
 
 
+def test_an_answer_in_chunks_ends_after_the_bytes_that_it_says(hub):
+    hub.sent = {"Content-Length": "5", "Transfer-Encoding": "chunked"}
+    hub.changed = {"digests.json": b"a\r\n0123456789\r\n" * 9 + b"0\r\n\r\n"}
+    with pytest.raises(ValueError, match="has more than the 5 bytes it says"):
+        ours.pull("ada/mouse")
+
+
 @pytest.mark.parametrize(
     "wrong, given, said",
     [

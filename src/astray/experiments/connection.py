@@ -75,16 +75,19 @@ class Wary:
                     f"the Hub's answer must be of at most {self.most:,} bytes; it says "
                     f"{shown(size)}"
                 )
-            answer.stream = _counted(answer.stream, self.come)
+            answer.stream = _counted(answer.stream, self.come, int(size))
 
 
-def _counted(stream: Any, come: Callable[[int], None]) -> Any:
-    """Return the stream, with a call of `come` for the number of bytes in each part."""
+def _counted(stream: Any, come: Callable[[int], None], most: int) -> Any:
+    """Return the stream, with a call of `come` for the bytes in each part; raise after `most`."""
 
     class Counted(http().SyncByteStream):
         def __iter__(self) -> Iterator[bytes]:
+            length = 0
             for part in stream:
                 come(len(part))
+                if (length := length + len(part)) > most:  # chunks may never end
+                    raise ValueError(f"the Hub's answer has more than the {most:,} bytes it says")
                 yield part
 
         def close(self) -> None:
