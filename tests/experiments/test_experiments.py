@@ -26,6 +26,7 @@ from astray.experiments.spec import plan_of
 from astray.experiments.studies.coinrun import attribution
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
 from astray.game import Looks
+from astray.kernel.jit import kernel
 from astray.report import page as report
 from astray.report.claims import Claim, above
 from astray.training import checkpoint
@@ -293,6 +294,22 @@ def test_tables_are_computed_anew_where_agents_see_other_pictures(observation, m
     assert run.inputs(plan, {})[1] == before
     monkeypatch.setattr(Looks, "pictures", lambda *_: (np.zeros(3),))
     assert (run.inputs(plan, {})[1] != before) == (observation == "image")
+
+
+def test_tables_are_computed_anew_where_a_kernel_keeps_another_value(monkeypatch):
+    """As one that a game's module reads from a file, which no source shows."""
+    plan = plan_of("mouse", TINY, "maze", "corner-small", differences="")
+    maze, digests = games.find("maze"), []
+    for value in (1.0, 1.0, 2.0):
+
+        @kernel
+        def step(s, action, value=value):
+            return value, False
+
+        game = replace(maze, rules=SimpleNamespace(**vars(maze.rules) | {"step": step}))
+        monkeypatch.setattr(Config, "find_game", lambda _, game=game: game)
+        digests.append(run.inputs(plan, {})[1])
+    assert digests[0] == digests[1] != digests[2]
 
 
 def test_tables_are_computed_anew_where_a_test_has_another_variant(monkeypatch):

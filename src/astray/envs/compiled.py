@@ -24,8 +24,13 @@ def compiled_loop(game: Game, art: str = OWN) -> Callable:
     return _compiled(game, game.drawn(art).name)
 
 
+def loop_digest(game: Game, art: str = OWN) -> str:
+    """Return a name by the code of a game's loop and the values that it keeps; compile nothing."""
+    return _specialised(game, game.drawn(art).name).__qualname__
+
+
 @functools.cache
-def _compiled(game: Game, art: str) -> Callable:
+def _specialised(game: Game, art: str) -> Callable:
     looks = game.drawn(art)
     functions = {
         "generate": game.levels.generate,
@@ -40,9 +45,14 @@ def _compiled(game: Game, art: str) -> Callable:
     functions["background_of"] = specialise(loops.background_of_any, label, shared, **functions)
     functions["begin_one"] = specialise(loops.begin, label, shared, **functions)
     functions["observe_one"] = specialise(loops.observe, label, kernel, **functions)
-    run = specialise(loops.run, label, ACTIONS=len(game.actions), **functions)
+    return specialise(loops.run, label, ACTIONS=len(game.actions), **functions)
+
+
+@functools.cache
+def _compiled(game: Game, art: str) -> Callable:
+    looks, run = game.drawn(art), _specialised(game, art)
     try:
-        with one_at_a_time(label), announced(SILENT, COMPILING.format(game.name)):
+        with one_at_a_time(run.__name__), announced(SILENT, COMPILING.format(game.name)):
             _compile(game, looks, run)
     except (MemoryError, OSError):
         raise

@@ -18,6 +18,7 @@ import torch
 
 from astray import provenance
 from astray.analysis.outcomes import load_shift
+from astray.envs.compiled import loop_digest
 from astray.experiments import catalogue, labs
 from astray.experiments.levels import check_tests, play
 from astray.experiments.spec import (
@@ -44,6 +45,7 @@ from astray.training.loop import begin, checked
 from astray.training.teacher import give
 from astray.training.track import check_installed
 from astray.validation import MOST, bounded, brief, one_of, path_of
+from astray.world import World
 
 ALL = "all"  # experiments of a size
 PLAN = "plan.json"  # in a report's folder, which is known by it
@@ -323,21 +325,28 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
 
 
 def resolved(plan: Plan) -> dict[str, Any]:
-    """Return each test's levels and goals for each of the plan's agents."""
+    """Return what each test is for each of the plan's agents: levels, goals, pictures, kernels."""
     own = {
-        name: [str(plan.variant_of(test)), asdict(load_shift(plan.game, test.shift))]
+        name: [str(plan.variant_of(test)), asdict(load_shift(plan.game, test.shift)), kernels]
         for name, test in {**plan.tests, **plan.visited}.items()
         if plan.own
+        for kernels in [kernels_of(plan.game)]
     }
     return own | {
         f"{name} of {agent}": [
             test.variant_for(config).to_json(),
             asdict(load_shift(config.find_game(), test.shift)),
             pictures_of(config, test.variant_for(config)),
+            kernels_of(config.find_game(), config.art),
         ]
         for name, test in {**plan.tests, **plan.visited}.items()
         for agent, config in plan.agents.items()
     }
+
+
+def kernels_of(game: Any, art: str = OWN) -> str:
+    """Return a digest of a game's kernels and of the values that they keep; a World has none."""
+    return "" if isinstance(game, World) else loop_digest(game, art)
 
 
 def pictures_of(config: Config, variant: Any) -> str:
