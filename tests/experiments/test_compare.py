@@ -16,6 +16,7 @@ from astray.analysis.policies import Random, Walk
 from astray.analysis.results import Result
 from astray.cli import pages
 from astray.cli.arguments import Acting
+from astray.experiments import compare as comparison
 from astray.experiments.compare import _short, compare, paired
 from astray.report.findings import Plot
 from astray.training import folders
@@ -51,6 +52,20 @@ def test_runs_are_named_without_the_folders_that_they_share(astray, tmp_path):
     page = (tmp_path / "compare.html").read_text()
     assert "seed-0, seed-1 in anywhere-small</h1>" in page and "seed-0</td>" in page
     assert page.count(home.name) == 2, "in the command alone"
+
+
+def test_a_run_that_trains_on_is_compared_by_its_name_at_the_start(tmp_path, monkeypatch):
+    run = shutil.copytree(folders.find(AGENT), tmp_path / "mouse")
+    before, evaluate = folders.latest(run), comparison.evaluate_policies
+
+    def goes_on(*given, **how):
+        shutil.copytree(before, before.with_name(f"{int(before.name) * 2}"), dirs_exist_ok=True)
+        return evaluate(*given, **how)
+
+    monkeypatch.setattr(comparison, "evaluate_policies", goes_on)
+    policies = [astray.load_agent(run), Random()]
+    page = compare(policies, "maze", "corner-small", range(9), tmp_path / "page").read_text()
+    assert "mouse</td>" in page and "steps</td>" not in page
 
 
 @pytest.mark.parametrize(

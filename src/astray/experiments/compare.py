@@ -81,10 +81,10 @@ def compare(
     players = dict(zip(short.values(), policies, strict=True))
     curves = _curves(players)  # before the work, as metrics may be damaged
     result = evaluate_policies(policies, game, shift, levels, variant=variant, longest=longest)
-    rates, episodes = (one.with_columns(pl.col("policy").replace(short)) for one in result)
-    agents = tuple(short[name] for name in result.agents)
-    result = replace(result, rates=rates, episodes=episodes, agents=agents)
     names = [*short.values()]
+    called = dict(zip(result.agents, names, strict=True))  # a training may write checkpoints now
+    rates, episodes = (one.with_columns(pl.col("policy").replace(called)) for one in result)
+    result = replace(result, rates=rates, episodes=episodes, agents=(*names,))
     rates = _in_order(result.rates, names)
     differences = paired(result, names)
     named = (name for name, one in rules.variants.items() if one == where)
