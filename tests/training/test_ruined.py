@@ -73,6 +73,24 @@ def test_a_network_that_returns_something_else_is_refused(tmp_path, network):
         train(TINY, tmp_path, network=network, progress=False)
 
 
+class Bare(MLP):
+    def __init__(self):
+        pass
+
+
+def chosen_from():
+    pass
+
+
+@pytest.mark.filterwarnings("ignore:training runs")
+@pytest.mark.parametrize("own", [{"network": Bare}, {"sampler": chosen_from}])
+def test_a_network_or_sampler_that_cannot_be_made_is_told_in_a_sentence(tmp_path, own):
+    ((what, _),) = own.items()
+    with pytest.raises(ValueError, match=rf"the {what} .* fails: TypeError\("):
+        train(TINY, tmp_path / "run", **own, progress=False)
+    assert not (tmp_path / "run").exists()
+
+
 class Pools(OneColumn):
     """Returns one value for all observations in acting, some time later."""
 

@@ -132,8 +132,9 @@ class Trainer:
     def _check_memory(self, build: Callable[[Architecture], nn.Module]) -> None:
         """Raise MemoryError if a rollout and the network need more memory than the CPU has."""
         config, shown = self.config, math.prod(self.architecture.shape)
+        name, passed = f"the network {config.network}", (ValueError, ImportError, RuntimeError)
         try:
-            with torch.device("meta"):  # without memory
+            with torch.device("meta"), imports.guarded(name, *passed, OverflowError):  # no memory
                 made = build(self.architecture)
                 of_kind(f"what {config.network} makes", made, nn.Module)
                 if isinstance(made, Recurrent):
@@ -265,7 +266,9 @@ class Trainer:
 def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
     """Return the sampler of training levels; None if the environments draw them."""
     if make or config.sampler.kind not in SAMPLERS:
-        return (make or imports.find(config.sampler.kind, True))(config)
+        with imports.guarded(f"the sampler {config.sampler.kind}", ValueError, ImportError):
+            found = (make or imports.find(config.sampler.kind, True))(config)
+        return found
     if config.sampler.kind == "uniform":
         return None
     return {"mixed": Mixed, "growing": Growing}.get(config.sampler.kind, Replay)(config)
