@@ -14,7 +14,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from astray.files import LOCK
+from astray.files import LOCK, aside_of
 from astray.published import catalogue
 from astray.published import download as downloads
 from astray.published.download import download
@@ -45,6 +45,14 @@ def test_a_file_can_be_pinned_by_the_id_that_git_gives_it(serve, tmp_path):
     with pytest.raises(ValueError, match=f"its git blob id is [0-9a-f]{{40}}, not {BLOB}"):
         download(serve(HELLO + b"!").address, tmp_path / "b", size=None, digest=BLOB)
     assert not (tmp_path / "b").exists()
+
+
+def test_what_a_killed_download_left_beside_its_place_is_removed(serve, tmp_path):
+    """It is as large as the file, and each kill could leave one more."""
+    aside_of(tmp_path / "a").write_bytes(HELLO)
+    aside_of(tmp_path / "other").write_bytes(HELLO)
+    download(serve(HELLO).address, tmp_path / "a", size=None, digest=BLOB)
+    assert len(left(tmp_path)) == 2 and (tmp_path / "a").exists()
 
 
 def test_what_was_whole_when_it_was_stopped_is_taken_and_what_is_more_is_removed(serve, tmp_path):

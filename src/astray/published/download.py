@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
-from astray.files import check_own, hold, read, write_aside
+from astray.files import check_own, hold, read, remove_left, write_aside
 from astray.validation import shown
 
 CHUNK = 1 << 16  # bytes
@@ -47,6 +47,7 @@ def download(address: str, to: Path, *, size: int | None, digest: str | None) ->
     """
     _check_address(address)
     with hold(to.parent, "downloads to"):
+        remove_left(to.parent, (to.name,))
         if os.path.lexists(to):
             if digest and not to.is_symlink() and digest_of(read(to, LARGEST), digest) == digest:
                 return
