@@ -24,13 +24,9 @@ def compiled_loop(game: Game, art: str = OWN) -> Callable:
     return _compiled(game, game.drawn(art).name)
 
 
-def loop_digest(game: Game, art: str = OWN) -> str:
-    """Return a name by the code of a game's loop and the values that it keeps; compile nothing."""
-    return _specialised(game, game.drawn(art).name).__qualname__
-
-
 @functools.cache
-def _specialised(game: Game, art: str) -> Callable:
+def loop_of(game: Game, art: str = OWN) -> Callable:
+    """Return `loops.run` of a game, not compiled yet, named by its code and the values it keeps."""
     looks = game.drawn(art)
     functions = {
         "generate": game.levels.generate,
@@ -50,7 +46,7 @@ def _specialised(game: Game, art: str) -> Callable:
 
 @functools.cache
 def _compiled(game: Game, art: str) -> Callable:
-    looks, run = game.drawn(art), _specialised(game, art)
+    looks, run = game.drawn(art), loop_of(game, art)
     try:
         with one_at_a_time(run.__name__), announced(SILENT, COMPILING.format(game.name)):
             _compile(game, looks, run)

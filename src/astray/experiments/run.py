@@ -18,7 +18,7 @@ import torch
 
 from astray import provenance
 from astray.analysis.outcomes import load_shift
-from astray.envs.compiled import loop_digest
+from astray.envs.compiled import loop_of
 from astray.experiments import catalogue, labs
 from astray.experiments.levels import check_tests, play
 from astray.experiments.spec import (
@@ -346,7 +346,7 @@ def resolved(plan: Plan) -> dict[str, Any]:
 
 def kernels_of(game: Any, art: str = OWN) -> str:
     """Return a digest of a game's kernels and of the values that they keep; a World has none."""
-    return "" if isinstance(game, World) else loop_digest(game, art)
+    return "" if isinstance(game, World) else loop_of(game, game.drawn(art).name).__qualname__
 
 
 def pictures_of(config: Config, variant: Any) -> str:
