@@ -302,7 +302,7 @@ def found_in(name: str, title: str) -> str:
             heading = text.partition("\n")[0].removeprefix("# ")
             found.append(f"[{heading}](../{page})")
     where = f", and what was found: {', '.join(found)}" if found else ""
-    return f"See [the claims, and when they were set]({claims}){where}."
+    return f"See [the claims, their bounds and outcomes]({claims}){where}."
 
 
 def size_parts(plan: Plan) -> Iterator[str]:
