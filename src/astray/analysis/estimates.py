@@ -7,8 +7,9 @@ the variant. Its half-width has one part for each; their squares add up (Banerje
 
     agents  Student's t with agents - 1 degrees of freedom (fewer where one has most of the weight),
             times the standard error of their means
-    levels  Student's t (from 30 levels on the normal quantile) times the levels' fraction of the
-            standard error, from the variance component that an analysis of variance estimates
+    levels  Student's t (with several agents, from 30 levels on the normal quantile) times the
+            levels' fraction of the standard error, from the variance component that an analysis of
+            variance estimates
 
 With one agent, the interval is for this agent alone, over levels. Rates have Wilson's interval for
 the equivalent number of independent episodes, which stays within 0 and 1 and always has a width.

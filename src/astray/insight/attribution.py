@@ -5,8 +5,9 @@
     group_means(fractions(rows, maps, where), "attribution", ["part"], per="area")
 
 A map is [N, H, W] for images, the mean over colours as in the paper, and [N, C, H, W] for symbolic
-planes; for a `Network` it has the shape of its inputs. The methods are Captum's, of the extra
-`insight`. `critic.counterfactual` measures the effect of a whole part.
+planes; for a `Network` it has the shape of its inputs. An agent with memory is asked as at the
+beginning of an episode. The methods are Captum's, of the extra `insight`. `critic.counterfactual`
+measures the effect of a whole part.
 """
 
 from collections.abc import Callable, Mapping
