@@ -8,7 +8,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
-from astray.figures import charts
+from astray.figures import charts, hover
 from astray.figures.axes import call_places
 from astray.figures.grids import FADED, SIGNS, Picture, cells, images
 from astray.figures.style import DARK, INK, OTHERS, PAGE, save
@@ -46,6 +46,13 @@ def test_points_have_a_row_each_and_their_intervals():
     assert axes.get_ylim() == (1.5, -0.5), "the first is on top"
     (ends,) = axes.collections
     assert [s[:, 0].round(6).tolist() for s in ends.get_segments()] == [[0.0, 0.2], [0.1, 0.3]]
+
+
+@pytest.mark.parametrize("symlog", [None, 2.0])
+def test_values_under_the_pointer_are_those_of_the_points_and_not_of_ticks(symlog):
+    data = pl.DataFrame({"who": ["a"], "mean": [3.7], "low": [3.1], "high": [14.6]})
+    figure = charts.points(data, row="who", label="", symlog=symlog)
+    assert [text for *_, text in hover.points(figure)] == ["3.7, a, 95 % interval 3.1 to 14.6"]
 
 
 @pytest.mark.parametrize("count", [2, 5, 9])

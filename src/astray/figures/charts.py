@@ -166,8 +166,8 @@ def points(
             axes.set_xscale("symlog", linthresh=symlog)
             ticks = [0, *(s * x for x in (1, 2, 5, 10, 20, 50) for s in (-1, 1))]
             low, high = axes.get_xlim()
-            ticks = sorted(x for x in ticks if low <= x <= high)
-            axes.set_xticks(ticks, [f"{x}" for x in ticks])
+            axes.set_xticks(sorted(x for x in ticks if low <= x <= high))
+            axes.xaxis.set_major_formatter("{x:g}")  # words would stand for the values, too
         if limits:
             axes.set_xlim(limits)
         if percent:
