@@ -18,6 +18,7 @@ from astray.cli import pages
 from astray.cli.arguments import Acting
 from astray.experiments import compare as comparison
 from astray.experiments.compare import _short, compare, paired
+from astray.figures import charts
 from astray.report.findings import Plot
 from astray.training import folders
 from helpers.rooms import WORLD, go_right
@@ -75,10 +76,20 @@ def test_a_run_that_trains_on_is_compared_by_its_name_at_the_start(tmp_path, mon
         (["/r/mice/seed-0", "maze-corner"], ["seed-0", "maze-corner"]),
         (["r/maze-corner", "maze-corner"], ["r/maze-corner", "maze-corner"]),  # which is another
         (["random", "walk to x"], ["random", "walk to x"]),
+        (["r/random", "r/mouse"], ["r/random", "r/mouse"]),  # beside the script of that name
     ],
 )
 def test_names_stay_apart(names, short):
-    assert [*_short(list(map(str, map(Path, names)))).values()] == list(map(str, map(Path, short)))
+    found = _short(list(map(str, map(Path, names))), {"random", "walk to x"})
+    assert [*found.values()] == list(map(str, map(Path, short)))
+
+
+def test_an_agent_in_a_folder_of_the_name_of_a_script_is_not_taken_for_it(tmp_path, monkeypatch):
+    both = [shutil.copytree(folders.find(AGENT), tmp_path / name) for name in ("random", "other")]
+    agents, drawn = [astray.load_agent(one) for one in both], []
+    monkeypatch.setattr(charts, "outcome_bars", lambda data: drawn.append(data) or Figure())
+    compare(agents, "maze", "corner-small", range(9), tmp_path / "page")
+    assert drawn[0]["who"].n_unique() == 5, "two agents and three scripts"
 
 
 def test_differences_are_of_the_same_levels():

@@ -15,6 +15,7 @@ from astray.acting import Policy
 from astray.analysis import video
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, load_shift, matrix, name_of
+from astray.analysis.policies import scripts_of
 from astray.analysis.results import APART, Result
 from astray.analysis.runs import evaluate_policies, names_of
 from astray.analysis.trained import Agent
@@ -77,7 +78,7 @@ def compare(
         raise ValueError(f"{rules.name} has no levels to compare agents in: {STREAMS}")
     for one in policies:
         rules.drawn(one.art, rules.variant(where))  # in the videos, also where it sees symbols
-    short = _short(names)
+    short = _short(names, {one.name for one in scripts_of(rules, between)})
     players = dict(zip(short.values(), policies, strict=True))
     curves = _curves(players)  # before the work, as metrics may be damaged
     result = evaluate_policies(policies, game, shift, levels, variant=variant, longest=longest)
@@ -107,13 +108,14 @@ def compare(
     return folder / PAGE
 
 
-def _short(names: Sequence[str]) -> dict[str, str]:
-    """Return names without the folders that all runs among them lie in."""
+def _short(names: Sequence[str], scripts: set[str]) -> dict[str, str]:
+    """Return names without the folders that all runs among them lie in, if none is a script's."""
     folders = [Path(name).parent.parts for name in names if len(Path(name).parts) > 1]
     alike = itertools.takewhile(lambda parts: len({*parts}) == 1, zip(*folders, strict=False))
     shared = f"{Path(*(part for part, *_ in alike))}{os.sep}"
     short = {name: name.removeprefix(shared) for name in names}
-    return short if len({*short.values()}) == len(names) else {name: name for name in names}
+    alone = {*short.values()}.isdisjoint(scripts.difference(names))
+    return short if alone and len({*short.values()}) == len(names) else {n: n for n in names}
 
 
 def paired(result: Result, names: Sequence[str]) -> pl.DataFrame:
