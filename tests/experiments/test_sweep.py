@@ -12,10 +12,12 @@ import pytest
 from astray.analysis.outcomes import MISGENERALIZED
 from astray.analysis.runs import open_run, play_all
 from astray.experiments import run as experiment_run
+from astray.experiments.sweep import report
 from astray.experiments.sweep import run as sweeping
 from astray.experiments.sweep.report import command
 from astray.experiments.sweep.run import run_sweep
 from astray.experiments.sweep.settings import Sweep, axes, value
+from astray.figures.grids import cells
 from astray.training.config import PRESETS
 from astray.training.loop import train
 from helpers.trainings import TINY
@@ -112,6 +114,13 @@ def test_outcomes_are_of_all_agents_and_repeat_what_an_evaluation_says(trained, 
     assert rate["agents"][0] == 2
     figures = [path.name for path in (tmp_path / "figures").glob("*.png")]
     assert figures == ["learning-rate-variant-time-limit.png"]
+
+
+def test_none_is_a_value_of_a_sweep_as_others_are(trained, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(report, "cells", lambda *a, **k: drawn.append(a[0]) or cells(*a, **k))
+    run_sweep(Sweep(BASE, {"groups": [None, 2], "width": [8, 16]}, levels=3), tmp_path)
+    assert len(trained) == 4 and {*drawn[0]["groups"]} == {"None", "2"}
 
 
 def test_a_sweep_goes_on_and_takes_more_values(trained, tmp_path, monkeypatch):

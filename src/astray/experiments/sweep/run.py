@@ -65,5 +65,7 @@ def _episodes(sweep: Sweep, folder: Path, cell: Cell, plan: Plan, runs: Runs) ->
     mine = {name: runs[name] for name in plan.agents}
     _, digest = inputs(plan, mine)
     table = cached(folder, digest, lambda: play(plan, mine)).drop("agent")
-    axes = zip(sweep.columns(), cell, strict=True)
-    return table.with_columns(pl.lit(given).alias(name) for name, given in axes)
+    axes = zip(sweep.columns(), cell, sweep.axes.values(), strict=True)
+    return table.with_columns(  # None is a value as others are, and no gap
+        pl.lit(str(given) if None in values else given).alias(name) for name, given, values in axes
+    )
