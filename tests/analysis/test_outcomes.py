@@ -11,6 +11,7 @@ import pytest
 from astray import games, testing
 from astray.analysis.adapters import Function
 from astray.analysis.dataset import export, read_trajectories
+from astray.analysis.estimates import group_means
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import (
     FAILED,
@@ -21,6 +22,7 @@ from astray.analysis.outcomes import (
     label,
     load_shift,
     outcomes_of,
+    rates,
 )
 from astray.analysis.replay import replay
 from astray.analysis.runs import evaluate_policies
@@ -100,6 +102,16 @@ def test_measures_have_means_with_intervals():
     by_hand = episodes.filter(policy="random")["apples"].mean()
     assert random["mean"] == pytest.approx(by_hand)
     assert random["low"] < random["mean"] < random["high"]
+
+
+def test_groups_may_have_a_name_after_many_without_one():
+    names = [None] * 120 + ["a"]
+    played = pl.DataFrame({"agent": names, "policy": range(121), "level": 0, "outcome": FAILED})
+    by = ("agent", "policy")
+    assert rates(played, by)["agent"].to_list()[::3] == names
+    found = amounts(played.with_columns(gold=pl.lit(1)), ["gold"], by)
+    assert found["agent"].to_list() == names
+    assert group_means(played.with_columns(gold=pl.lit(1)), "gold", by)["agent"][-1] == "a"
 
 
 def test_of_several_ends_the_first_is_told_and_a_goal_is_no_end():

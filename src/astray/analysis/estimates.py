@@ -413,7 +413,8 @@ def group_means(
         rate = not per and group[value].dtype == pl.Boolean
         estimate = estimate_mean(totals, weights, rate=rate)
         found.append(dict(zip(by, key, strict=True)) | vars(estimate) | {"rows": len(group)})
-    return pl.DataFrame(found).sort(by).with_columns(pl.col("mean", "low", "high").fill_nan(None))
+    table = pl.DataFrame(found, infer_schema_length=None).sort(by)
+    return table.with_columns(pl.col("mean", "low", "high").fill_nan(None))
 
 
 def in_cells(

@@ -181,7 +181,7 @@ def rates(
         for outcome in outcomes:
             estimate = _mean(part, pl.col("outcome") == outcome)
             rows.append(dict(zip(by, key, strict=True)) | {"outcome": outcome} | vars(estimate))
-    return pl.DataFrame(rows)
+    return pl.DataFrame(rows, infer_schema_length=None)
 
 
 def amounts(
@@ -202,7 +202,7 @@ def amounts(
         for key, part in episodes.group_by(by, maintain_order=True)
         for name in measures
     ]
-    return pl.DataFrame(rows)
+    return pl.DataFrame(rows, infer_schema_length=None)
 
 
 def _check_columns(episodes: pl.DataFrame, names: Sequence[str]) -> None:
