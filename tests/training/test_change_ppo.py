@@ -354,3 +354,4 @@ def test_explained_variance_is_a_fraction_of_the_targets():
     assert ppo.explained_variance(target, target) == 1
     assert ppo.explained_variance(torch.zeros(4), target) == pytest.approx(0)
     assert ppo.explained_variance(target, torch.ones(4)) == 0
+    assert ppo.explained_variance(torch.randn(777), torch.full((777,), 0.37)) == 0  # but rounding

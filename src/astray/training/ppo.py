@@ -158,7 +158,8 @@ def normalised(x: Tensor) -> Tensor:
 def explained_variance(value: Tensor, target: Tensor) -> float:
     """Return the fraction of the variance of `target` [B] that `value` [B] explains, or 0."""
     spread = target.var()
-    return float(1 - (target - value).var() / spread) if spread > 0 else 0.0
+    varies = spread > (1e-6 * target.abs().max()) ** 2  # by more than rounding
+    return float(1 - (target - value).var() / spread) if varies else 0.0
 
 
 def policy_loss(log_ratio: Tensor, advantage: Tensor, clip: float) -> Tensor:
