@@ -83,7 +83,7 @@ def _about(study: Mapping[str, Any], sizes: Mapping[Size, Plan]) -> str:
 
 
 def _claims(claims: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Return the lines of a table of claims, with a column of notes if there are any."""
+    """Return the lines of a table of claims; a column without entries is left out."""
     columns = {"claim": "sentence", "supported if": "rule", "set": "set"}
     further = {"measured": "said", "note": "note"}
     columns |= {head: key for head, key in further.items() if any(one.get(key) for one in claims)}

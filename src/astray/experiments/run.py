@@ -327,10 +327,13 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
 def resolved(plan: Plan) -> dict[str, Any]:
     """Return what each test is for each of the plan's agents: levels, goals, pictures, kernels."""
     own = {
-        name: [str(plan.variant_of(test)), asdict(load_shift(plan.game, test.shift)), kernels]
+        name: [
+            str(plan.variant_of(test)),
+            asdict(load_shift(plan.game, test.shift)),
+            kernels_of(plan.game),
+        ]
         for name, test in {**plan.tests, **plan.visited}.items()
         if plan.own
-        for kernels in [kernels_of(plan.game)]
     }
     return own | {
         f"{name} of {agent}": [

@@ -192,8 +192,9 @@ class Player:
                 f"a sampler must return an array of {which.sum()} levels; got {shown(chosen)}"
             )
         option = "state" if chosen.dtype == self.game.state else "level"
-        if option == "level" and {*chosen.tolist()}.difference(known := self._levels):
-            told = f"{known.start} to {known.stop - 1}, as others are for tests"
+        first, after = self._levels.start, self._levels.stop
+        if chosen.dtype.kind in "iu" and ((chosen < first) | (chosen >= after)).any():
+            told = f"{first} to {after - 1}, as others are for tests"
             raise ValueError(f"levels of a sampler must be from {told}; got {shown(chosen)}")
         begin = np.zeros(len(which), chosen.dtype)
         begin[which] = chosen
