@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
 
 from astray import games, memory
 from astray.envs import beginnings
@@ -67,6 +68,13 @@ def test_a_restored_state_plays_on_byte_for_byte(game, variant, mode, observatio
             for env in (one, two):
                 env.reset(options={"reset_mask": env.states.ended.copy()})
     assert one.states.tobytes() == two.states.tobytes()
+
+
+def test_a_batch_s_space_takes_time_only_where_it_is_looked_at():
+    env = pickle.loads(pickle.dumps(played("maze", "corner")))
+    assert "observation_space" not in vars(env)
+    assert env.observation_space == batch_space(env.single_observation_space, 4)
+    assert copy.deepcopy(env).observation_space == env.observation_space
 
 
 @pytest.mark.parametrize("threads", [1, 3])

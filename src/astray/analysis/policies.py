@@ -88,11 +88,12 @@ class Walk:
 
         An episode may join the batch at any step, and leave it at any.
         """
-        return np.array([self._action(game, s) for s in states], np.int64)
+        # Columns are read whole: a field of a record takes as long as many actions.
+        named = zip(states, states["level"].tolist(), states["time"].tolist(), strict=True)
+        return np.array([self._action(game, *one) for one in named], np.int64)
 
-    def _action(self, game: Game, s: Any) -> int:
-        level = int(s.level)
-        if level not in self._experts or (s.time == 0 and not self.remembers):
+    def _action(self, game: Game, s: Any, level: int, time: int) -> int:
+        if level not in self._experts or (time == 0 and not self.remembers):
             self._experts[level] = game.solver.expert(s, self.goal)
         return self._experts[level](s)
 

@@ -122,7 +122,6 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         each = COPIES * numbers + math.prod(scene) + 2 * self.game.state.itemsize
         check_memory(int(num_envs) * each, f"{num_envs:,} environments")
         self.single_action_space = spaces.Discrete(len(self.game.actions))
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._shape = (num_envs, *self.single_observation_space.shape)
 
@@ -166,6 +165,10 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def __copy__(self) -> GameVectorEnv:
         """Return an independent environment; shared states would be stepped by both."""
         return copy.deepcopy(self)
+
+    @functools.cached_property  # to make it takes longer than all else, and few look at it
+    def observation_space(self) -> spaces.Space[np.ndarray]:  # pyright: ignore
+        return batch_space(self.single_observation_space, self.num_envs)
 
     @property
     def _shown(self) -> str:

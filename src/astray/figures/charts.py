@@ -151,7 +151,7 @@ def points(
     height = len(names) * (0.22 + 0.1 * len(looks)) + 0.4
     figure, grid = grid_of(len(panels), columns, height, sharey=True, sharex=sharex)
     for axes, (title, table) in zip(grid, panels.items(), strict=True):
-        for dashes, (name, value) in zip(BASES, (at or {}).items(), strict=False):
+        for dashes, (name, value) in zip(cycle(BASES), (at or {}).items(), strict=False):
             axes.axvline(value, color=INK, linestyle=dashes if name else "-", lw=1, label=name)
         for k, (name, look) in enumerate(looks.items()):
             part = table.filter(pl.col(group) == name) if group else table
