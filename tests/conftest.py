@@ -1,5 +1,6 @@
 """What several tests are given."""
 
+import gc
 import multiprocessing
 import signal
 import sys
@@ -13,10 +14,12 @@ from helpers.cases import REFERENCE
 
 
 def pytest_configure():
-    """A process that was begun in the background ignores Ctrl+C, which ends environments that hang.
+    """Garbage is looked for less often: among a million objects that takes half a second.
 
+    A process that was begun in the background ignores Ctrl+C, which ends environments that hang.
     Tests of it would wait for ever.
     """
+    gc.set_threshold(100_000)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -95,8 +95,11 @@ def from_sb3(
 
     Raises:
         ValueError: When it is shown observations of a kind or shape that it does not know, or at
-            once if it masks actions.
+            once if it masks actions, or explores as DQN does and is not `greedy`.
     """
+    if hasattr(model, "exploration_rate") and not greedy:
+        told = f"{type(model).__name__} explores at random for a whole batch at once, without seed"
+        raise ValueError(f"{told}; give greedy=True")
     if "action_masks" in inspect.signature(model.predict).parameters:  # as MaskablePPO
         told = f"{type(model).__name__} would take actions that its masks forbid"
         raise ValueError(f"an environment tells no masks here, so that {told}")
