@@ -12,7 +12,7 @@ import numpy as np
 from astray.game import Variant
 from astray.grid.rules import ACTIONS, DX, DY, NOWHERE, STAY, settle
 from astray.kernel.grid import UNREACHABLE, distances
-from astray.kernel.jit import kernel
+from astray.kernel.jit import entry, kernel
 from astray.kernel.rng import RNG_FIELDS
 from astray.protocols import Rules
 from astray.record import NEVER, check_record, within
@@ -225,29 +225,41 @@ def is_over(world: World, s: Any, goal: str) -> bool:
 
 def scripted(world: World, s: Any, goal: str) -> int:
     """Return the action of the script of a goal in a valid state."""
-    there = np.full(s["cell"].shape, NOWHERE)
+    cell, x, y = s["cell"], int(s["x"]), int(s["y"])
+    there = np.full(cell.shape, NOWHERE)
     if not is_over(world, s, goal):
         world.seek[goal](s, there)
-    action = int(there[s["y"], s["x"]])
-    return action if action > STAY else towards(world, s, there != NOWHERE)
+    action = int(there[y, x])
+    return action if action > STAY else towards(there, cell, s["mover"], x, y, world.is_free)
 
 
-def towards(world: World, s: Any, wanted: np.ndarray) -> int:
-    """Return the action that leads to the nearest `wanted` cell around hazards, or "stay".
+@entry
+def towards(there, cell, mover, x, y, is_free):
+    """Return the action that leads to the nearest target around hazards, or "stay".
 
     Args:
-        wanted: [H, W] bool.
+        there: [H, W] int64, NOWHERE but in targets.
+        cell, mover: [H, W] codes.
+        x, y: Cell of the agent.
+        is_free: [256] bool, whether an agent may stand on each code.
     """
-    here = int(s["x"]), int(s["y"])
-    free = (world.is_free[s["cell"]] & world.is_free[s["mover"]]) | wanted
-    free[here[::-1]] = True
-    away = distances(free, *here)
-    near = [(away[y, x], x, y) for y, x in np.argwhere(wanted & (away != UNREACHABLE)).tolist()]
-    _, *nearest = min(near, default=(0, *here))
-    steps = distances(free, *nearest)
+    height, width = there.shape
+    free = np.empty((height, width), np.bool_)
+    for v in range(height):
+        for u in range(width):
+            may_stand = is_free[cell[v, u]] and is_free[mover[v, u]]
+            free[v, u] = may_stand or there[v, u] != NOWHERE or (u == x and v == y)
+    away = distances(free, x, y)
+    near, nearest = UNREACHABLE, (x, y)
+    for u in range(width):
+        for v in range(height):
+            steps = away[v, u] if there[v, u] != NOWHERE else UNREACHABLE
+            if steps != UNREACHABLE and (near == UNREACHABLE or steps < near):
+                near, nearest = steps, (u, v)
+    left = distances(free, nearest[0], nearest[1])
     for action in range(1, len(ACTIONS)):
-        x, y = here[0] + DX[action], here[1] + DY[action]
-        inside = 0 <= x < world.side and 0 <= y < world.side
-        if inside and steps[y, x] == steps[here[1], here[0]] - 1 and steps[y, x] != UNREACHABLE:
+        u, v = x + DX[action], y + DY[action]
+        inside = 0 <= u < width and 0 <= v < height
+        if inside and left[v, u] == left[y, x] - 1 and left[v, u] != UNREACHABLE:
             return action
     return STAY
