@@ -51,10 +51,10 @@ def expert(s: Any, goal: str) -> Callable[[Any], int]:
     ways = [_Way(s, goal)]
 
     def action(now: Any) -> int:
+        check(now)
         for way in ways:
             if way.leads_on(now):
                 return way.action(now)
-        check(now)
         ways[1:] = [_Way(now, goal)]
         return ways[1].action(now)
 
@@ -75,11 +75,7 @@ class _Way:
     def leads_on(self, now: Any) -> bool:
         """Return whether everything that moves is where the plan has it at this time."""
         t = int(now.time) - self.begin
-        if not 0 <= t < len(self.actions):
-            return False
-        motion = empty_motions(now, 1)[0]
-        note_motion(now, motion)
-        return np.array_equal(motion, self.motions[t])
+        return 0 <= t < len(self.actions) and moves_as(now, self.motions[t])
 
     def action(self, now: Any) -> int:
         return int(self.actions[int(now.time) - self.begin])
@@ -156,6 +152,14 @@ def follow(states, actions):
         s.time += 1
         step(s, actions[t])
     return motions
+
+
+@entry
+def moves_as(s, motion):
+    """Return whether the motion of `s` is `motion`."""
+    now = empty_motions(s, 1)[0]
+    note_motion(s, now)
+    return len(now) == len(motion) and (now == motion).all()
 
 
 @entry

@@ -172,7 +172,7 @@ class Planner:
         """Return the steps from every cell to the best next object, [world, world], or None."""
         if now.ended or now[GOALS[self.goal]] != NEVER:
             return None
-        gone = {k for k in range(now.objects) if now.gone[k] != NEVER}
+        gone = set(np.flatnonzero(now.gone[: now.objects] != NEVER).tolist())
         since = len(gone) - len(self._gone)
         as_planned = self._gone <= gone and gone - self._gone == set(self._order[:since])
         if not as_planned or since >= len(self._order):
@@ -196,7 +196,7 @@ class Planner:
 
     def _plan(self, now: Any) -> list[int]:
         """Return objects in the best order; only the first if there are too many to order."""
-        there = [k for k in range(now.objects) if now.gone[k] == NEVER]
+        there = np.flatnonzero(now.gone[: now.objects] == NEVER).tolist()
         away = {k: int(self._field(now, k)[int(now.y), int(now.x)]) for k in there}
         there = [k for k in there if away[k] != UNREACHABLE]
         chosen = there if len(there) <= EXACT else _nearest(now, there, away)
