@@ -33,7 +33,7 @@ class Growth:
     goals: tuple[Goal, ...]
     log_agent: np.ndarray  # [T + 1] nats
     log_device: np.ndarray  # [T + 1] nats
-    posterior: np.ndarray  # [T + 1, G] of the goal that is pursued now, if it is an agent
+    posterior: np.ndarray  # [T + 1, G] of the goal pursued now, if an agent; NaN if none can be
 
     @property
     def agent(self) -> np.ndarray:
