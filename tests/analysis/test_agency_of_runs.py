@@ -123,7 +123,9 @@ def test_the_video_shows_the_mouse_and_the_goal_as_it_becomes_clear():
 def test_a_verdict_takes_more_than_half_for_certain():
     def verdict(low):
         both = [Estimate(0.7, low, 0.9, 1, 9, 9), Estimate(0.3, 0.1, 0.5, 1, 9, 9)]
-        return Assessment(pl.DataFrame(), ("corner", DEVICE), both, np.ones(2) / 2, 1).verdict
+        assessed = Assessment(pl.DataFrame(), ("corner", DEVICE))
+        vars(assessed)["rates"] = both
+        return assessed.verdict
 
     assert (verdict(0.49), verdict(0.51)) == (UNDECIDED, "corner")
 

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -161,10 +161,30 @@ class Assessment:
 
     episodes: pl.DataFrame  # one row each: see `assess`
     explanations: tuple[str, ...]
-    rates: list[Estimate]  # fraction of episodes for each explanation
-    pooled: np.ndarray  # posterior of each explanation if one holds for all episodes; a few
-    # episodes in which an agent got stuck decide it, so the verdict ignores it
-    decisions: int  # steps at which the named goals part
+
+    @property
+    def log_evidence(self) -> np.ndarray:
+        """Evidence of each episode for each explanation, [E, H] nats."""
+        columns = self.episodes.select([f"log {name}" for name in self.explanations])
+        return columns.to_numpy(order="c")  # in another order sums are rounded otherwise
+
+    @property
+    def decisions(self) -> int:
+        """The number of steps at which the named goals part."""
+        return int(self.episodes["decisions"].sum())
+
+    @cached_property  # which takes longer than the evidence
+    def rates(self) -> list[Estimate]:
+        """The fraction of episodes for each explanation."""
+        return rates(self.log_evidence)
+
+    @property
+    def pooled(self) -> np.ndarray:
+        """The posterior [H] of each explanation if one holds for all episodes.
+
+        A few episodes in which an agent got stuck decide it, so the verdict ignores it.
+        """
+        return pooled(self.log_evidence)
 
     @property
     def verdict(self) -> str:
@@ -176,8 +196,7 @@ class Assessment:
     def most_informative(self) -> int:
         """Index of the episode with the most distinguishing steps that fits the verdict."""
         table = self.episodes.with_row_index("row")
-        columns = [f"log {name}" for name in self.explanations]
-        likeliest = np.array(self.explanations)[table.select(columns).to_numpy().argmax(1)]
+        likeliest = np.array(self.explanations)[self.log_evidence.argmax(1)]
         alike = table.filter(pl.Series(likeliest == self.verdict))
         return (alike if len(alike) else table).sort("decisions", descending=True)["row"][0]
 
@@ -229,12 +248,12 @@ def assess(played: Sequence[Played], options: Options = CALIBRATED) -> Assessmen
         )
     if any(set(one.goals) != set(played[0].goals) for one in played):
         raise ValueError("some episodes are of levels with other goals than the first")
-    rows, logs, explanations = [], [], ()
+    rows, explanations = [], ()
     for one in played:
         evidence = measure_named([one.episode], [one.goals], options)
         explanations = (*map(str, evidence.goals), DEVICE)
-        logs.append(np.append(evidence.log_goals, evidence.log_device))
-        posterior = softmax(logs[-1] + np.append(evidence.log_prior, 0.0))
+        logs = np.append(evidence.log_goals, evidence.log_device)
+        posterior = softmax(logs + np.append(evidence.log_prior, 0.0))
         rows.append(
             {
                 "level": one.level,
@@ -243,17 +262,10 @@ def assess(played: Sequence[Played], options: Options = CALIBRATED) -> Assessmen
                 "agent": evidence.agent,
                 "log_factor": evidence.log_factor,
             }
-            | {f"log {n}": x for n, x in zip(explanations, logs[-1].tolist(), strict=True)}
+            | {f"log {n}": x for n, x in zip(explanations, logs.tolist(), strict=True)}
             | {f"p {n}": x for n, x in zip(explanations, posterior.tolist(), strict=True)}
         )
-    table = pl.DataFrame(rows)
-    return Assessment(
-        table,
-        explanations,
-        rates(np.array(logs)),
-        pooled(np.array(logs)),
-        int(table["decisions"].sum()),
-    )
+    return Assessment(pl.DataFrame(rows), explanations)
 
 
 def assess_policy(

@@ -274,8 +274,7 @@ class GoalPosterior:
             return 0.0
         assessed = agency.assess(played)
         if self.kind == "entropy":
-            logs = assessed.episodes.select([f"log {name}" for name in assessed.explanations])
-            return float(entropy_of(likeliest_rates(logs.to_numpy())))
+            return float(entropy_of(likeliest_rates(assessed.log_evidence)))
         return 1 - float(assessed.episodes[f"p {self.shift.intended}"].to_numpy().mean())
 
 
