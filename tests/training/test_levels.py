@@ -23,7 +23,7 @@ from astray.training.levels import (
     positive_value_loss,
 )
 from astray.training.loop import collect, play, train
-from astray.training.replay import Replay, draw_distinct, probabilities
+from astray.training.replay import REPLAY, Replay, draw_distinct, probabilities
 from astray.training.trainer import Trainer
 from helpers.trainings import PLAIN, TINY, digest, train_to_first_checkpoint
 
@@ -196,6 +196,16 @@ def test_regret_is_what_the_solver_gets_more_than_the_agent():
     for i in range(16):
         regret = best[i] * (1 - i / 16)
         assert sampler.score[kept == numbers[i]] == pytest.approx(regret)
+
+
+def test_the_best_return_in_a_level_that_was_not_played_before_is_the_first_one():
+    sampler = Replay(PLR.changed(score="max-monte-carlo"))
+    while sampler.kind != REPLAY:
+        sampler.plan(0)
+    ended = np.ones((2, 16), bool)
+    sampler.note(played(np.array([[-3.0], [-1.0]]).repeat(16, 1), ended))
+    assert sampler.score[sampler.places] == pytest.approx(1)
+    assert sampler.best[sampler.places] == pytest.approx(-1)
 
 
 def test_what_scores_higher_takes_the_place_of_what_is_replayed_least():
@@ -385,6 +395,11 @@ def test_what_a_sampler_must_not_do_is_told(method, message, tmp_path, monkeypat
         (
             {"sampler": "plr", "score": "regret", "variant": "region-1-strict", "validation": None},
             "a variant of a shift, which names the goal; got 'region-1-strict'",
+        ),
+        (
+            {"sampler": "plr", "score": "regret", "game": "follow", "variant": "expert",
+             "validation": None, "knobs": {}},
+            "needs a goal that ends a level; 'order' does not end those of follow",
         ),
         (
             {"sampler": "accel", "game": "coinrun", "variant": "coin-end", "validation": None,

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from astray.envs.beginnings import initial_states
+from astray.game import Game
 from astray.memory import check_memory
 from astray.record import NEVER, trusted
 from astray.training.config import Config
@@ -26,6 +27,24 @@ from astray.training.levels import (
 KINDS = GENERATE, REPLAY, MUTATE = range(3)  # of rollouts
 CHANCES = {"plr": 1 / 3, "accel": 1 / 2}  # probability that a rollout replays, as in the paper
 NAMES = ("generated", "replayed", "mutated")  # names of levels by kind of rollout
+UNPLAYED = np.finfo(float).min  # the best return in a level that was never played
+MOST = 1000  # steps of the solver that are looked at
+
+
+def check_last(game: Game, states: np.ndarray, goal: str) -> None:
+    """Raise ValueError if the level of `states` [1] goes on after its goal.
+
+    The solver's return has the rewards up to the goal, and an agent's has all.
+    """
+    (s,) = states.copy().view(np.recarray)
+    lead = game.solver.expert(s, goal)
+    for _ in range(min(int(s.time_limit), MOST)):
+        s.time += 1
+        if game.rules.step(s, lead(s))[1]:
+            return
+        if s[game.event(goal)] != NEVER:
+            told = f"{goal!r} does not end those of {game.name}, where rewards go on"
+            raise ValueError(f"score 'regret' needs a goal that ends a level; {told}")
 
 
 def probabilities(
@@ -62,17 +81,19 @@ class Replay:
         if self.mutates and not self.game.mutation:
             self.game.mutation.mutate  # noqa: B018  # says that there is none
         n, size = config.num_envs, config.sampler.buffer
+        self.places = np.zeros(n, np.int64)  # places in the buffer of the last replay
         if size < n:
             raise ValueError(f"buffer must hold a level for each of {n} environments; got {size}")
         check_memory(2 * size * self.game.state.itemsize, f"a buffer of {size:,} levels")
         self.chance = config.sampler.replay or CHANCES[config.sampler.kind]
         self.intended = config.intended_goal() if config.sampler.score == "regret" else None
+        if self.intended:
+            check_last(self.game, self._generated(stream(config, 0))[:1], self.intended)
         self.states = np.zeros(size, self.game.state)
         self.score, self.best, self.optimal = self.scores = np.zeros((3, size))
         self.visited = np.zeros(size, np.int64)  # number of its last replay, from 1
         self.kind, self.turn = GENERATE, 0
         self.rollouts = np.zeros(len(KINDS), np.int64)
-        self.places = np.zeros(n, np.int64)  # places in the buffer of the last replay
         self.current = np.zeros(n, self.game.state)
 
     def plan(self, steps: int) -> Plan:
@@ -174,6 +195,7 @@ class Replay:
         for first in range(0, len(self.states), n):
             some = slice(first, first + n)
             self.states[some] = self._generated(random)[: len(self.states) - first]
+        self.best[:] = UNPLAYED
         self.optimal[:] = self._optimal(self.states)
 
     def _generated(self, random: np.random.Generator) -> np.ndarray:
