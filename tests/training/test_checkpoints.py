@@ -2,6 +2,7 @@
 
 import ast
 import json
+import math
 import os
 import shutil
 from dataclasses import replace
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
+from torch import nn
 
 from astray.agents import policy
 from astray.analysis.runs import evaluate_runs
@@ -22,6 +24,7 @@ from astray.training.loop import train
 from helpers.checkpoints import forge
 from helpers.killed import CONFIG
 from helpers.processes import begin
+from helpers.trainings import PLAIN, digest, train_to_first_checkpoint
 
 SHORT = replace(CONFIG, steps=4 * 1024)
 PACKAGE = Path(policy.__file__).parents[1]
@@ -201,6 +204,29 @@ def test_a_trainer_lacks_nothing(run):
     save_file(tensors, path, told)
     with pytest.raises(ValueError, match=r"adam\.3\.exp_avg_sq is missing"):
         train(SHORT, run, progress=False)
+
+
+class Frozen(nn.Module):
+    """Has a layer that is not trained, and one that is not asked."""
+
+    def __init__(self, its):
+        super().__init__()
+        self.frozen, self.unused = nn.Linear(math.prod(its.shape), 8), nn.Linear(2, 2)
+        self.policy, self.value = nn.Linear(8, its.actions), nn.Linear(8, 1)
+        self.frozen.requires_grad_(False)
+
+    def forward(self, seen):
+        features = self.frozen(seen.flatten(1).float())
+        return self.policy(features), self.value(features).squeeze(1)
+
+
+@pytest.mark.filterwarnings("ignore:training runs the network")
+def test_a_training_of_some_of_its_weights_resumes(tmp_path, monkeypatch):
+    config = PLAIN.changed(network=f"{__name__}:Frozen")
+    train(config, tmp_path / "whole", progress=False)
+    train_to_first_checkpoint(config, tmp_path / "stopped", monkeypatch)
+    train(config, tmp_path / "stopped", progress=False)
+    assert digest(tmp_path / "stopped") == digest(tmp_path / "whole")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -218,8 +218,9 @@ class Trainer:
         """
         wanted = self.tensors()
         for k, weight in enumerate(self.weights):
-            wanted |= {f"adam.{k}.{name}": weight.cpu() for name in MOMENTS}
-            wanted[f"adam.{k}.step"] = torch.zeros(())
+            if _below(tensors, f"adam.{k}."):  # else it is frozen, or nothing depends on it
+                wanted |= {f"adam.{k}.{name}": weight.cpu() for name in MOMENTS}
+                wanted[f"adam.{k}.step"] = torch.zeros(())
         if odd := sorted(wanted.keys() ^ tensors.keys()):
             raise ValueError(f"{odd[0]} is {'missing' if odd[0] in wanted else 'not one of its'}")
         for name, like in wanted.items():
@@ -248,7 +249,8 @@ class Trainer:
             one.state = tensors[f"{name}.memory"][self.player.here].to(self.config.device)
         adam = self.optimizer.state_dict()
         count = len(adam["param_groups"][0]["params"])
-        adam["state"] = {k: _below(tensors, f"adam.{k}.") for k in range(count)}
+        moments = {k: _below(tensors, f"adam.{k}.") for k in range(count)}
+        adam["state"] = {k: its for k, its in moments.items() if its}
         self.optimizer.load_state_dict(adam)
         for weight, state in self.optimizer.state.items():
             for name in MOMENTS:  # laid out as the weights are
