@@ -302,6 +302,13 @@ def test_outcomes_stand_side_by_side_with_their_intervals():
     assert note == "95\u00a0% intervals are in brackets. In every row: 500 levels."
 
 
+def test_means_of_something_else_by_outcome_are_no_rates():
+    table = pl.DataFrame({"outcome": [INTENDED, FAILED], "mean": [3.5, 0.5]})
+    shown, _ = report.laid_out(table.with_columns(low=pl.col("mean") - 1, high=6.0))
+    assert shown["mean"] == (True, ["3.500 (2.500 to 6.000)", "0.500 (-0.500 to 6.000)"])
+    assert shown["outcome"] == (False, [INTENDED, FAILED])
+
+
 def test_what_all_rows_share_is_in_a_sentence_and_a_finding_stays_in_the_table():
     shared = {"test": "in training", "seeds": 3, "levels": 1, "size": 25, "beta": 0.5}
     table = pl.DataFrame([shared | {"differ": True, "who": who} for who in "ab"])

@@ -28,6 +28,7 @@ FOLDERS = ("figures", "tables", COMPUTED)
 MEDIA = {".png": "image/png", ".svg": "image/svg+xml", ".mp4": "video/mp4"}
 NOTHING = "—"
 MEAN = ("mean", "low", "high")
+ONE = 1 + 1e-9  # a rate, whose sums are rounded
 UNTOLD = ("rows", "freedom")  # of tables: what intervals were computed with
 PERCENT = re.compile(r"<(code|script)\b.*?</\1>|(?<=\d) (?=%)", re.DOTALL)  # a space only in texts
 WHOLE = re.compile(r"(?<![\w-])(?:--?\w[\w-]*|\w+(?:-\w+)+)")  # an option, a name with dashes
@@ -197,8 +198,8 @@ def embedded(path: Path) -> str:
 def laid_out(frame: pl.DataFrame) -> tuple[dict[str, tuple[bool, list[str]]], str]:
     """Return a table as it is shown, and a note on it.
 
-    Intervals are next to their means, and outcomes side by side in percent. With scripts, agents
-    are named as policies. Constant columns are in the note, except yes and no, which are findings.
+    Intervals are next to their means, and rates of outcomes side by side in percent: means of at
+    most 1. With scripts, agents are named as policies. Constant columns are in the note, except yes and no, which are findings.
     Empty columns, and those that intervals were computed from, are left out.
 
     Returns:
@@ -206,16 +207,19 @@ def laid_out(frame: pl.DataFrame) -> tuple[dict[str, tuple[bool, list[str]]], st
     """
     if {"agent", "policy"} <= {*frame.columns} and frame["agent"].has_nulls():  # of scripts
         frame = frame.with_columns(pl.coalesce("agent", "policy").alias("policy")).drop("agent")
-    if "outcome" in frame.columns:
+    means = frame["mean"].cast(pl.Float64).fill_nan(None) if "mean" in frame.columns else None
+    rates = means is not None and "outcome" in frame.columns and means.abs().le(ONE).all()
+    if rates:
         frame = frame.with_columns(pl.col(name for name in MEAN if name in frame.columns) * 100)
-    means = dict(_means(frame))
-    for name, ends in means.items():
+    measures = dict(_means(frame))
+    for name, ends in measures.items():
         frame = frame.with_columns(_with_interval(frame, name, ends)).drop(*ends)
-    frame = _side_by_side(frame.drop(UNTOLD, strict=False))
+    frame = frame.drop(UNTOLD, strict=False)
+    frame = _side_by_side(frame) if rates else frame
     shown, same = {}, []
     for column in frame.iter_columns():
         name, text = column.name.replace("_", " "), cells(column)
-        measured = column.name in means or name.endswith(", %")
+        measured = column.name in measures or name.endswith(", %")
         if {*text} == {NOTHING}:
             continue
         found = measured or column.dtype == pl.Boolean
@@ -223,7 +227,7 @@ def laid_out(frame: pl.DataFrame) -> tuple[dict[str, tuple[bool, list[str]]], st
             same.append(_said(name, text[0], column.dtype))
         else:
             shown[name] = measured or column.dtype.is_numeric(), text
-    notes = ["95\u00a0% intervals are in brackets."] * bool(means)
+    notes = ["95\u00a0% intervals are in brackets."] * bool(measures)
     notes += [f"In every row: {', '.join(same)}."] * bool(same)
     return shown, " ".join(notes)
 
@@ -256,8 +260,6 @@ def _with_interval(frame: pl.DataFrame, name: str, ends: tuple[str, str]) -> pl.
 
 def _side_by_side(frame: pl.DataFrame) -> pl.DataFrame:
     """Return the table with a column for each outcome, where the other columns are equal."""
-    if not {"outcome", "mean"} <= {*frame.columns}:
-        return frame
     names = frame["outcome"].unique(maintain_order=True).to_list()
     rest = [name for name in frame.columns if name not in ("outcome", "mean")]
     if not rest or frame.select(*rest).unique().height * len(names) != frame.height:
