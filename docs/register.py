@@ -22,7 +22,7 @@ from astray.files import write_aside
 from astray.report.page import of_claims
 
 OPEN = "…"  # in a sentence or rule, for what depends on the size or on what was measured
-RULE = re.compile(r"; supported if .*?(?=;|, which is not enough|$)")
+RULE = re.compile(r"; supported if (.*?)(?=;|, which is not enough|$)")
 PAGE = Path(__file__).with_suffix(".md")
 
 
@@ -54,6 +54,11 @@ def fits(pattern: str, text: str) -> re.Match[str] | None:
     return re.fullmatch("(.*)".join(map(re.escape, pattern.split(OPEN))), text)
 
 
+def rule_of(ours: str) -> str:
+    """Return the rule by which a claim is supported, from its report; "" if there is none."""
+    return " and ".join(dict.fromkeys(RULE.findall(ours))).replace("\u00a0", " ")
+
+
 def page() -> str:
     """Return the page: its introduction as it is, and the register of today."""
     about, _, _ = PAGE.read_text("utf-8").partition("## ")
@@ -63,7 +68,7 @@ def page() -> str:
         lines += [f"## `{name}`: {whole.title}", "", _about(study, whole.sizes), ""]
         lines += [f"- {change}" for change in study.get("changes", [])]
         lines += [""] if study.get("changes") else []
-        claims = [one | {"said": _said(name, one["sentence"])} for one in study["claims"]]
+        claims = [one | {"said": _said(name, one)} for one in study["claims"]]
         lines += [*_claims(claims), "", *_plans(name, whole.sizes), ""]
     return "\n".join(lines).rstrip() + "\n"
 
@@ -94,13 +99,17 @@ def _claims(claims: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         yield f"| {' | '.join(said.get(key, '') for key in columns.values())} |"
 
 
-def _said(study: str, sentence: str) -> str:
-    """Return what the reports of a study's sizes say of a claim, without its rule."""
+def _said(study: str, claim: Mapping[str, Any]) -> str:
+    """Return what the reports of a study's sizes say of a claim, without its rule.
+
+    A report that has another rule of the same sentence says nothing of it.
+    """
     found = []
     for size, report in measured().get(study, {}).items():
         for of, ours in report["claims"].items():
-            if its := fits(sentence, of.replace("\u00a0", " ")):
-                said, verdict = ours.replace("\u00a0", " ").removesuffix(")").rsplit(" (", 1)
+            said, verdict = ours.replace("\u00a0", " ").removesuffix(")").rsplit(" (", 1)
+            its = fits(claim["sentence"], of.replace("\u00a0", " "))
+            if its and fits(claim["rule"], rule_of(said)):
                 said = RULE.sub("", said).replace("95 % interval ", "").replace("|", "\\|")
                 found.append(": ".join([f"`{size}`, {verdict}", *filter(None, its.groups()), said]))
     return "<br>".join(found)
