@@ -18,8 +18,10 @@ from astray.experiments.sweep.report import command
 from astray.experiments.sweep.run import run_sweep
 from astray.experiments.sweep.settings import Sweep, axes, value
 from astray.figures.grids import cells
-from astray.training.config import PRESETS
+from astray.training.config import PRESETS, Config
 from astray.training.loop import train
+from astray.world import register
+from helpers.rooms import WORLD, walked
 from helpers.trainings import TINY
 
 BASE = replace(TINY, knobs={}, steps=512)
@@ -186,6 +188,15 @@ def test_axes_that_tables_have_themselves_keep_their_values(trained, tmp_path):
     assert set(table["training_levels"]) == {100, 1000} and set(table["levels"]) == {5}
     figure = pl.read_parquet(tmp_path / "figures" / "training-levels.parquet")
     assert set(figure["training_levels"]) == {100, 1000}
+
+
+def test_an_axis_leaves_a_measure_of_its_name_as_it_is(trained, tmp_path):
+    register(world := replace(WORLD, name="room-of-steps", measures={"steps": walked}))
+    base = Config(world, "end", steps=16, num_envs=2, num_steps=8, minibatches=1)
+    run_sweep(Sweep(base, {"steps": [16, 32]}, levels=5, shift="end"), tmp_path)
+    episodes = pl.read_parquet(tmp_path / "outcomes.parquet")
+    assert (episodes["steps"] == episodes["length"]).all()
+    assert set(episodes["training_steps"]) == {16, 32}
 
 
 def test_the_verb_sweeps_what_it_is_given(astray, trained, tmp_path):

@@ -83,7 +83,9 @@ class Sweep:
 
     def columns(self) -> list[str]:
         """Return the axes' column names, which differ from the columns of episodes and rates."""
-        return [f"training_{name}" if name in ("levels", "variant") else name for name in self.axes]
+        game = self.base.find_game()
+        taken = {"levels", "variant", *game.events, *game.measures}
+        return [f"training_{name}" if name in taken else name for name in self.axes]
 
     def varied(self) -> list[str]:
         """Return the columns of the axes with several values; all of them if there is none."""
