@@ -206,14 +206,15 @@ def test_a_trainer_lacks_nothing(run):
         train(SHORT, run, progress=False)
 
 
-class Frozen(nn.Module):
-    """Has a layer that is not trained, and one that is not asked."""
+class Odd(nn.Module):
+    """Has a layer that is not trained, one that is not asked, and one of two names."""
 
     def __init__(self, its):
         super().__init__()
         self.frozen, self.unused = nn.Linear(math.prod(its.shape), 8), nn.Linear(2, 2)
         self.policy, self.value = nn.Linear(8, its.actions), nn.Linear(8, 1)
         self.frozen.requires_grad_(False)
+        self.heads = nn.ModuleList([self.policy, self.value])
 
     def forward(self, seen):
         features = self.frozen(seen.flatten(1).float())
@@ -221,8 +222,8 @@ class Frozen(nn.Module):
 
 
 @pytest.mark.filterwarnings("ignore:training runs the network")
-def test_a_training_of_some_of_its_weights_resumes(tmp_path, monkeypatch):
-    config = PLAIN.changed(network=f"{__name__}:Frozen")
+def test_a_network_of_frozen_unused_and_shared_layers_resumes(tmp_path, monkeypatch):
+    config = PLAIN.changed(network=f"{__name__}:Odd")
     train(config, tmp_path / "whole", progress=False)
     train_to_first_checkpoint(config, tmp_path / "stopped", monkeypatch)
     train(config, tmp_path / "stopped", progress=False)

@@ -110,7 +110,9 @@ BUILDERS: dict[str, Callable[[Architecture], nn.Module]] = {
 
 def weights(network: nn.Module, architecture: Architecture, game: str) -> bytes:
     """Return the file that `load` reads: safetensors, with the architecture in its header."""
-    tensors = {name: tensor.contiguous().cpu() for name, tensor in network.state_dict().items()}
+    told = network.state_dict().items()
+    # Copies, as safetensors refuses what shares memory: a layer may have two names.
+    tensors = {name: x.cpu().clone(memory_format=torch.contiguous_format) for name, x in told}
     return save(tensors, header(game, architecture=asdict(architecture)))
 
 
