@@ -40,7 +40,10 @@ def test_what_reports_measured_is_added_to_the_register(tmp_path, monkeypatch):
     register.PAGE.with_suffix(".json").write_text("{}")
     register.add(tmp_path)
     assert register.measured().keys() == {"lava-bridge"}
-    claim = {"sentence": "Where the gap is two rows …, it walks into the lava.", "rule": "above 50 %"}
+    claim = {
+        "sentence": "Where the gap is two rows …, it walks into the lava.",
+        "rule": "above 50 %",
+    }
     said = register._said("lava-bridge", claim)
     assert said.startswith("`smoke`, supported: higher: burns: 60.0 % (95.0 to 98.0, over 3 agents")
     assert "supported if" not in said and "; p = " in said
@@ -62,7 +65,9 @@ def test_a_claim_that_is_not_in_the_register_is_found():
 def test_the_rule_of_a_claim_is_read_off_its_report():
     one, other = above("s", "p", "m", ONE, 0.9), near_zero("s", "p", "m", ONE, 0.1)
     both = every("s", "p", [one, other])
-    rules = [register.rule_of(claim.ours) for claim in (one, other, both, Claim("s", "p", "m", True))]
+    rules = [
+        register.rule_of(claim.ours) for claim in (one, other, both, Claim("s", "p", "m", True))
+    ]
     assert rules == [
         "above 90 %",
         "all of it is within 10 % of 0",

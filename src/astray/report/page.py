@@ -198,9 +198,10 @@ def embedded(path: Path) -> str:
 def laid_out(frame: pl.DataFrame) -> tuple[dict[str, tuple[bool, list[str]]], str]:
     """Return a table as it is shown, and a note on it.
 
-    Intervals are next to their means, and rates of outcomes side by side in percent: means of at
-    most 1. With scripts, agents are named as policies. Constant columns are in the note, except yes and no, which are findings.
-    Empty columns, and those that intervals were computed from, are left out.
+    Intervals are next to their means, and rates of outcomes, which are at most 1, side by side in
+    percent. With scripts, agents are named as policies. Constant columns are in the note, except
+    yes and no, which are findings. Empty columns, and those that intervals were computed from, are
+    left out.
 
     Returns:
         For each column its heading, whether it is numeric, and its cells as text.

@@ -103,14 +103,9 @@ class Replay:
         self.turn += 1
         if self.mutates and self.kind == REPLAY:
             self.kind = MUTATE
-            seeds = random.integers(2**32, size=len(self.places))
-            self.current = self.game.mutation.mutate(
-                self.states[self.places],
-                self.variant,
-                seeds,
-                self.config.sampler.edits,
-                self.config.sampler.mutation,
-            )
+            before, its = self.states[self.places], self.config.sampler
+            seeds, mutate = random.integers(2**32, size=len(before)), self.game.mutation.mutate
+            self.current = mutate(before, self.variant, seeds, its.edits, its.mutation)
         elif random.random() < self.chance:
             self.kind = REPLAY
             self.places = draw_distinct(self.chances(), len(self.places), random)
@@ -144,10 +139,8 @@ class Replay:
 
     def chances(self) -> np.ndarray:
         """Return the probability of each buffered level to be replayed next, [B]."""
-        age = self.rollouts[REPLAY] - self.visited + 1
-        return probabilities(
-            self.score, age, self.config.sampler.temperature, self.config.sampler.staleness
-        )
+        age, its = self.rollouts[REPLAY] - self.visited + 1, self.config.sampler
+        return probabilities(self.score, age, its.temperature, its.staleness)
 
     def summary(self) -> dict[str, float]:
         counts = dict(zip(NAMES, (len(self.places) * self.rollouts).tolist(), strict=True))
@@ -173,13 +166,9 @@ class Replay:
         states = arrays["states"].copy().view(self.game.state).reshape(-1)
         turn, kind = map(int, arrays["turn"])
         places, visited, rollouts = (arrays[name] for name in ("places", "visited", "rollouts"))
-        if (
-            turn < 0
-            or kind not in KINDS
-            or not ((places >= 0) & (places < len(states))).all()
-            or not (visited <= rollouts[REPLAY]).all()
-            or (rollouts < 0).any()
-        ):
+        are_places = ((places >= 0) & (places < len(states))).all() and turn >= 0
+        are_counts = (visited <= rollouts[REPLAY]).all() and (rollouts >= 0).all()
+        if kind not in KINDS or not are_places or not are_counts:
             raise ValueError("its sampler's buffer is not one that a training writes")
         if turn:
             self.game.check(states, self.variant)

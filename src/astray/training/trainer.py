@@ -247,11 +247,9 @@ class Trainer:
             player.restore(_below(tensors, f"{name}."))
         for name, one in self._remembers().items():
             one.state = tensors[f"{name}.memory"][self.player.here].to(self.config.device)
-        adam = self.optimizer.state_dict()
-        count = len(adam["param_groups"][0]["params"])
-        moments = {k: _below(tensors, f"adam.{k}.") for k in range(count)}
-        adam["state"] = {k: its for k, its in moments.items() if its}
-        self.optimizer.load_state_dict(adam)
+        moments = {k: _below(tensors, f"adam.{k}.") for k in range(len(self.weights))}
+        known = {"state": {k: its for k, its in moments.items() if its}}
+        self.optimizer.load_state_dict(self.optimizer.state_dict() | known)
         for weight, state in self.optimizer.state.items():
             for name in MOMENTS:  # laid out as the weights are
                 state[name] = torch.empty_like(weight).copy_(state[name])
