@@ -181,6 +181,13 @@ def test_of_other_levels_each_kind_has_its_own_spread():
         estimate_difference(one, other)
 
 
+def test_agents_that_always_and_never_succeed_differ_by_newcombes_interval():
+    found = estimate_difference(np.ones(40, bool), np.zeros(58, bool), same_levels=False)
+    square = stats.norm.ppf(0.975) ** 2
+    ends = square / (40 + square), square / (58 + square)  # Wilson's, from 1 and from 0
+    assert (found.low, found.high) == pytest.approx((1 - np.hypot(*ends), 1))
+
+
 def test_agents_of_other_kinds_tell_how_much_agents_differ():
     """Two agents tell next to nothing of it; sixteen kinds of two do."""
     random = np.random.default_rng(0)

@@ -4,16 +4,20 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import polars as pl
 import pytest
 
 from astray.analysis import video
 from astray.analysis.adapters import Function
 from astray.analysis.dataset import export, read_trajectories, trajectories
+from astray.analysis.estimates import estimate_difference
 from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import INTENDED
 from astray.analysis.policies import Random
 from astray.analysis.runs import evaluate_policies
 from astray.experiments.audit import audit
 from astray.experiments.compare import compare
+from astray.game import Shift
 from helpers.rooms import WORLD, Room, go_right
 
 RIGHT = Function(go_right, "right")
@@ -71,6 +75,20 @@ def test_an_audit_of_streams_says_so_and_has_no_ghost_and_no_videos(tmp_path):
     answer = json.loads((page.parent / "findings.json").read_text("utf-8"))["answer"]
     assert "These are streams: the environments choose their levels" in answer
     assert not (page.parent / "videos").exists()
+
+
+def test_an_audit_of_streams_without_proxies_compares_rates_of_other_levels(tmp_path):
+    alone = {"end": Shift("end", "anywhere", "square", ())}
+    page = audit(RIGHT, replace(STREAMS, shifts=alone), "end", levels=30, out=tmp_path)
+    (_, lost) = json.loads((page.parent / "findings.json").read_text("utf-8"))["claims"]
+    (table,) = page.parent.glob("computed/episodes-*.parquet")
+    mine = pl.read_parquet(table).filter(policy="sampled")
+    rates = [
+        (mine.filter(test=test)["outcome"] == INTENDED).to_numpy()
+        for test in ("in the test", "in training")
+    ]
+    found = estimate_difference(*rates, same_levels=False)
+    assert found.percent() in lost["ours"] and found.mean < 0
 
 
 def test_agents_are_not_compared_in_streams(tmp_path):

@@ -140,7 +140,8 @@ def estimate_difference(
         _between_agents(rest, pool, mean if rate else None)
         for rest, mean in zip(rests, means, strict=True)
     ]
-    freedom = min(known for _, known in spreads) if pool else _satterthwaite(spreads)
+    alone = max(len(one), len(other)) == 1
+    freedom = min(known for _, known in spreads) if pool or alone else _satterthwaite(spreads)
     wide, of_levels = quantile(freedom), [_of_levels(len(v), v.shape[1], rate) for v in kinds]
     if same_levels:
         noise = sum(_noise(rest) / rest.size for rest in rests)
@@ -154,8 +155,8 @@ def estimate_difference(
         for (between, _), levels, rest, t in zip(spreads, among, rests, of_levels, strict=True)
     ]
     (low, high), (its_low, its_high) = (
-        _ends(mean, square, rate, wide**2 / rest.size)
-        for mean, square, rest in zip(means, squares, rests, strict=True)
+        _ends(mean, square, rate, (t if len(rest) == 1 else wide) ** 2 / rest.size)
+        for mean, square, rest, t in zip(means, squares, rests, of_levels, strict=True)
     )
     mean = means[0] - means[1]
     of_common = max(of_levels) * math.sqrt(common)

@@ -174,7 +174,7 @@ def findings(work: Work) -> Findings:
     told = work.episodes.filter(test=TEST).with_columns(policy=pl.coalesce("agent", "policy"))
     result = rated(told, work.plan.game, shift, [name])
     answer = f"{result.verdict} {usual.answer}"
-    if isinstance(game := work.plan.world, World) and game.level_key is not None:
+    if outcomes.of_streams(work.plan):
         answer += f" These are streams: {outcomes.STREAMS}."
     tables = [*usual.tables]
     if rewards := work.plan.rewards:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import Estimate, estimate_mean, estimate_paired
+from astray.analysis.estimates import Estimate, estimate_difference, estimate_mean, estimate_paired
 from astray.analysis.outcomes import (
     INTENDED,
     MISGENERALIZED,
@@ -90,6 +90,10 @@ def findings(work: Work) -> Findings:
     apart = work.episodes.filter("distinguishing", test=test)
     tried = work.episodes if apart.is_empty() else apart
     first = {name: rate(tried, test, name) for name in (INTENDED, MISGENERALIZED)}
+    both = [work.episodes.filter(test=one, policy=AGENTS) for one in (test, train)]
+    came = [matrix(part, pl.col("outcome") == INTENDED) for part in both]
+    same = not of_streams(work.plan) and {*both[0]["level"]} == {*both[1]["level"]}
+    lost = estimate_paired(*came) if same else estimate_difference(*came, same_levels=False)
     other = (
         f", and {proxies} first in {first[MISGENERALIZED].short()}, where levels distinguish these"
     )
@@ -106,7 +110,7 @@ def findings(work: Work) -> Findings:
                 f"In the test it reaches {intended} less often than in training.",
                 "",
                 f"{INTENDED}, in the test minus in training",
-                rate(work.episodes, test, INTENDED, minus_test=train),
+                lost,
             )
             if not proxies
             else above(
@@ -157,10 +161,16 @@ def played(work: Work, test: str, value: str | pl.Expr, policy: str = AGENTS) ->
     return matrix(part, pl.col(value) if isinstance(value, str) else value)
 
 
+def of_streams(plan: Plan) -> bool:
+    """Return whether the environments of a plan choose their levels themselves."""
+    return isinstance(game := plan.game, World) and game.level_key is not None
+
+
 def unrendered(plan: Plan, *tests: Test) -> str:
     """Return why a World's environments show no images; empty if they do."""
-    if isinstance(game := plan.game, World) and game.level_key is not None:
+    if of_streams(plan):
         return STREAMS
+    game = plan.game
     try:
         for test in tests:
             variant = plan.variant_of(test)
@@ -298,7 +308,7 @@ def settings(plan: Plan) -> dict[str, str]:
                  for one in plan.power()[: len(SPREADS)])  # fmt: skip
     if plan.own:
         told = {"world": plan.game.name, "agents": ", ".join(plan.own)}
-    if isinstance(game := plan.game, World) and game.level_key is not None:
+    if of_streams(plan):
         told["levels"] = STREAMS
     return told | {
         "seeds": str(plan.seeds),
