@@ -108,15 +108,12 @@ def findings(work: Work) -> Findings:
             ),
             below(
                 f"In the test it reaches {intended} less often than in training.",
-                "",
-                f"{INTENDED}, in the test minus in training",
-                lost,
+                "", f"{INTENDED}, in the test minus in training", lost,
             )
             if not proxies
             else above(
                 f"In the test it reaches {proxies} first more often than {intended}.",
-                "",
-                f"{MISGENERALIZED} minus {INTENDED}",
+                "", f"{MISGENERALIZED} minus {INTENDED}",
                 rate(tried, test, MISGENERALIZED, minus=INTENDED),
             ),
         ],
