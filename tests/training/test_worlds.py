@@ -115,8 +115,9 @@ def test_actions_of_several_parts_are_one_choice_among_all():
 
 
 def test_whole_numbers_are_scaled_by_their_bounds_and_parts_are_joined():
-    whole = spaces.Box(2, 6, (2,), np.int64)
-    assert as_seen(whole, "symbolic", np.array([[2, 5]])).tolist() == [[0, 0.75]]
+    for kind in (np.uint8, np.int8, np.int32, np.int64):
+        seen = as_seen(spaces.Box(2, 6, (2,), kind), "symbolic", np.array([[2, 5]], kind))
+        assert seen.tolist() == [[0, 0.75]] and seen.dtype == np.float32
     both = spaces.Dict({"cell": spaces.Discrete(3), "way": spaces.Box(-1, 1, (1,), np.float32)})
     shown = {"cell": np.array([2, 0]), "way": np.array([[0.5], [-1]], np.float32)}
     assert as_seen(both, "symbolic", shown).tolist() == [[0, 0, 1, 0.5], [1, 0, 0, -1]]

@@ -66,8 +66,8 @@ def as_seen(space: Space, observation: str, shown_here: Any) -> np.ndarray:
     array = np.asarray(shown_here).reshape(len(shown_here), *seen.shape).astype(seen.dtype)
     if observation == "image" or not np.issubdtype(space.dtype, np.integer):
         return array
-    low = space.low.ravel().astype(np.float32)
-    return (array - low) / np.maximum(space.high.ravel() - low, 1)
+    low, high = (end.ravel().astype(np.float32) for end in (space.low, space.high))
+    return (array - low) / np.maximum(high - low, 1)
 
 
 class Restarting:
