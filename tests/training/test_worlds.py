@@ -148,6 +148,13 @@ def continuous(**knobs):
     return env
 
 
+def stacked(**knobs):
+    env = Room(**knobs)
+    env._seen = lambda: np.zeros((4, 12, 12), np.uint8)
+    env.observation_space = spaces.Box(0, 255, (4, 12, 12), np.uint8)
+    return env
+
+
 def troubled(make):
     return replace(WORLD, name="troubled", variants=dict.fromkeys(WORLD.variants, make))
 
@@ -165,6 +172,8 @@ def troubled(make):
         ({"variant": "gone"}, "unknown variant of room 'gone'; there are: end, anywhere"),
         ({"observation": "image", "network": "impala"},
          r"network 'impala' sees images \[H, W, C\] uint8; got torch.float32 of shape \(2, 9\)"),
+        ({"game": troubled(stacked), "observation": "image", "network": "impala"},
+         r"network 'impala' sees images \[H, W, C\] uint8; got torch.uint8 of shape \(4, 12, 12\)"),
         ({"game": troubled(continuous)}, "actions must be Discrete or MultiDiscrete; got Box"),
         ({"game": troubled(partial(Room, trouble="draws"))}, "is another one when it is played"),
         ({"game": troubled(partial(Room, trouble="raises"))}, "its step fails: KeyError"),
