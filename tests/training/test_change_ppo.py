@@ -123,6 +123,19 @@ def test_a_network_that_keeps_its_memory_itself_is_refused(network):
         next(loop.iterate(CONFIG, network=network))
 
 
+class Masks(Given):
+    """Forbids an action by a logit that is no number."""
+
+    def forward(self, observation):
+        logits, value = super().forward(observation)
+        return logits.index_fill(1, torch.tensor([0]), -torch.inf), value
+
+
+def test_a_network_whose_logits_are_not_finite_is_refused():
+    with pytest.raises(ValueError, match="finite logits: -1e9 for a masked action"):
+        next(loop.iterate(CONFIG, network=Masks))
+
+
 class Normalises(Given):
     """Acts by the means of all minibatches, and learns by those of one."""
 
