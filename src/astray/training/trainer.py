@@ -98,8 +98,9 @@ class Trainer:
             if not own:
                 name, seen = f"the network {config.network}", self.player.images.to(config.device)
                 with torch.no_grad(), imports.guarded(name, ValueError, ImportError):
-                    act(self.network, seen.new_zeros(len(seen), self.player.actions).float(), seen)
-                    is_finite = self.network(seen)[0].isfinite().all()
+                    said, none = self.network(seen), seen.new_zeros(len(seen), self.player.actions)
+                    act(lambda _: said, none.float(), seen)
+                    is_finite = said[0].isfinite().all()
                 if not is_finite:
                     raise ValueError(f"{name} must return finite logits: -1e9 for a masked action")
         self.weights = list(self.network.parameters())
