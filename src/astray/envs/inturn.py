@@ -46,7 +46,8 @@ class InTurn(VectorEnv):
         with self._watch:
             for i in np.flatnonzero(options["reset_mask"]).tolist():
                 self._watch.turn += 1
-                self._observations[i], info = self._envs[i].reset(seed=seed[i], options={})
+                seen, info = self._envs[i].reset(seed=seed[i], options={})
+                self._observations[i] = _copied(seen)
                 infos = self._add_info(infos, info, i)
         return self._shown(), infos
 
@@ -58,7 +59,8 @@ class InTurn(VectorEnv):
         with watch:
             for i, (env, action) in enumerate(each):
                 watch.turn += 1
-                observations[i], reward, ended, cut, info = env.step(action)
+                seen, reward, ended, cut, info = env.step(action)
+                observations[i] = _copied(seen)
                 rewards.append(reward)
                 terminated.append(ended)
                 truncated.append(cut)
@@ -109,3 +111,8 @@ class InTurn(VectorEnv):
             together = np.empty((n * space.shape[0], *space.shape[1:]), space.dtype)
             return np.concatenate(self._observations, out=together).reshape(n, *space.shape)
         return concatenate(space, self._observations, create_empty_array(space, n, np.empty))
+
+
+def _copied(seen: Any) -> Any:
+    """Return a copy, as several environments may show what they see in one array."""
+    return seen.copy() if type(seen) is np.ndarray else deepcopy(seen)
