@@ -1,14 +1,17 @@
 """Policies of others that are no files: callables, and models of Stable-Baselines3."""
 
+import gymnasium
 import numpy as np
 import polars as pl
 import pytest
+from torch import nn
 
 from astray import games
 from astray.acting import steps
 from astray.analysis.adapters import Function, from_sb3
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import label, load_shift
+from astray.analysis.trained import Network
 
 
 class Predictor:
@@ -40,6 +43,20 @@ def test_a_model_that_is_shown_what_it_does_not_know_is_told_the_remedy():
     model.predict = refuse
     with pytest.raises(ValueError, match=r"shape from_sb3 takes .*'symbolic'.*; got 'image'"):
         evaluate(from_sb3(model), "maze", "corner-small", range(2))
+
+
+@pytest.mark.parametrize("kind", ["model", "network"])
+def test_who_learned_from_images_of_0_to_1_is_not_shown_those_of_0_to_255(kind):
+    space = gymnasium.spaces.Box(0, 1, (64, 64, 3))
+    model = Predictor()
+    model.observation_space = space
+    network = nn.Sequential(nn.Flatten(), nn.Linear(64 * 64 * 3, 15))
+    policy = {
+        "model": from_sb3(model),
+        "network": Network(network, space, ask=lambda network, seen: network(seen.float())),
+    }[kind]
+    with pytest.raises(ValueError, match="sees numbers up to 1, .* shows uint8 up to 25"):
+        evaluate(policy, "maze", "corner-small", range(2))
 
 
 class Recurrent:

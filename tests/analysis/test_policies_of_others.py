@@ -302,6 +302,10 @@ class Bare(Function):
         (Network(Model(3), SPACE, ask=both), "has 3 logits for actions of Discrete"),
         (Network(Model(), SPACE, ask=lambda agent, seen: seen), "must give logits .* got"),
         (Network(Model(), SPACE, ask=lambda agent, seen: 3), "must give logits .* got"),
+        (
+            Network(Model(), SPACE, ask=lambda agent, seen: agent.actor(seen)),
+            "network, asked about torch.float32 .*fails: RuntimeError.*shapes cannot be multiplied",
+        ),
         (Network(Model(), Box(0, 1, (3,)), ask=both), r"sees observations of shape \(3,\), not"),
         (
             Network(Model(), SPACE, ask=lambda *_: both(*_)[0] * np.nan),

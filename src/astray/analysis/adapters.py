@@ -12,7 +12,7 @@ from gymnasium.spaces import Box, Discrete
 
 from astray.acting import Answer, Turn, checked_actions
 from astray.agents import policy as trained
-from astray.analysis.trained import AT_ONCE, Network, answered
+from astray.analysis.trained import AT_ONCE, Network, answered, check_scale
 from astray.envs.vector import Observation
 from astray.game import OWN
 from astray.imports import guarded
@@ -107,6 +107,7 @@ def from_sb3(
 
     def choose(seen: Any, memory: Any, begins: np.ndarray) -> tuple[np.ndarray, Any]:
         seen = scaler.normalize_obs(seen) if scaler else seen
+        check_scale(name, getattr(model, "observation_space", None), seen)
         # Its memory is [layers, N, ...]; rows of episodes are [N, layers, ...].
         state = None if memory is None else tuple(np.swapaxes(part, 0, 1) for part in memory)
         try:

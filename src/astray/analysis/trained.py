@@ -24,6 +24,7 @@ from astray.envs.restarting import action_table, as_seen
 from astray.envs.vector import GameVectorEnv, Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN, Game
+from astray.imports import guarded
 from astray.training import ppo
 from astray.training.folders import AgentFolder
 from astray.validation import check_words, of_kind, one_of, shown
@@ -48,6 +49,20 @@ def chosen(
         return logits.argmax(-1).numpy(force=True)
     uniform = torch.from_numpy(episode_noise(seed, env.states, logits.shape[1]))
     return ppo.sample(logits, uniform.to(logits.device))[0].numpy(force=True)
+
+
+def check_scale(who: str, space: Any, observations: Any) -> None:
+    """Raise ValueError if `space` has reals, and the integers [N, ...] are larger than its bound.
+
+    A network that learned from images of 0 to 1 would also answer to 0 to 255.
+    """
+    are_integers = isinstance(observations, np.ndarray) and observations.dtype.kind in "iu"
+    if are_integers and isinstance(space, Box) and space.dtype.kind == "f":
+        if (found := observations.max(initial=0)) > (most := space.high.max()):
+            raise ValueError(
+                f"{who} sees numbers up to {most:g}, as its space says; the environment shows "
+                f"{observations.dtype} up to {found}"
+            )
 
 
 def recalled(
@@ -259,8 +274,10 @@ class Network:
         Raises:
             ValueError: If the network returns anything else.
         """
-        # It may have been trained in the meantime, in which dropout is on.
-        given = (self.ask or torch.nn.Module.__call__)(self.network.eval(), observations)
+        told = f"{self.name}, asked about {observations.dtype} {list(observations.shape)},"
+        with guarded(told, ValueError, ImportError):
+            # It may have been trained in the meantime, in which dropout is on.
+            given = (self.ask or torch.nn.Module.__call__)(self.network.eval(), observations)
         parts: tuple[Any, ...] = given if isinstance(given, tuple) else (given,)
         n = len(observations)
         sizes = [list(getattr(part, "shape", ())) for part in parts]
@@ -285,6 +302,7 @@ class Network:
                 or logits that depend on the batch.
         """
         of_kind("observations", observations, np.ndarray)
+        check_scale(self.name, self.space, observations)
         if observations.shape[1:] != self.space.shape:
             told = f"{self.space.shape}, not {observations.shape[1:]}"
             raise ValueError(f"{self.name} sees observations of shape {told}")
