@@ -212,6 +212,51 @@ def test_an_image_without_pixels_is_refused():
         video.play(RIGHT, replace(WORLD, variants=variants), "end", 0)
 
 
+def test_an_episode_has_every_part_of_what_it_showed():
+    space = spaces.Tuple((spaces.Box(0, 1, (2, CELLS)), spaces.Discrete(3)))
+    made = partial(
+        gymnasium.wrappers.TransformObservation,
+        func=lambda seen: (seen, 2),
+        observation_space=space,
+    )
+    world = replace(WORLD, shifts={}, variants={"end": lambda **knobs: made(Room(**knobs))})
+    right = Function(lambda seen: np.ones(len(seen[0]), int))
+    room, two = video.play(right, world, "end", 3).observations
+    assert (room == video.play(RIGHT, WORLD, "end", 3).observations).all()
+    assert two.tolist() == [2] * len(room)
+
+
+def test_images_of_several_shapes_are_no_video():
+    class Growing(Room):
+        def render(self):
+            return np.zeros((10 + self.time, 10, 3), np.uint8)
+
+    world = replace(WORLD, shifts={}, variants={"end": Growing})
+    with pytest.raises(
+        ValueError, match="room end.*level 3: images of a video must have one shape"
+    ):
+        video.play(RIGHT, world, "end", 3)
+
+
+@pytest.mark.parametrize(
+    "shown, said",
+    [
+        ({}, "KeyError"),
+        ({"room": np.zeros(2)}, "ValueError"),
+        ({"room": np.zeros((2, CELLS), str)}, "TypeError"),
+    ],
+)
+def test_parts_that_are_not_of_their_space_are_told(shown, said):
+    class Parts(Room):
+        def _seen(self):
+            return shown
+
+    world = replace(WORLD, shifts={}, variants={"end": partial(Parts, trouble="parts")})
+    policy = Function(lambda seen: np.ones(len(seen["room"]), int))
+    with pytest.raises(ValueError, match=f"an observation is not of its space Dict.*{said}"):
+        evaluate(policy, world, "end", [3, 4])
+
+
 def test_knobs_are_arguments_of_the_factory():
     told = evaluate(RIGHT, WORLD, WORLD.variant("end").with_knobs({"place": "anywhere"}), LEVELS)
     assert told["reached_square"].null_count() > 0

@@ -86,10 +86,14 @@ def test_environments_may_show_what_they_see_in_one_array(shared):
             return self.reset(seed=self.number + 10)[0], 0.0, False, False, {}
 
     space = spaces.Box(-99, 99, (2,), np.float64)
-    space = spaces.Dict({"a": space, "b": spaces.Discrete(3)}) if isinstance(shared, dict) else space
+    space = (
+        spaces.Dict({"a": space, "b": spaces.Discrete(3)}) if isinstance(shared, dict) else space
+    )
     env = InTurn([partial(Shares, space)] * N, "key", Watch(60.0, "one"))
     every, last = np.ones(N, bool), np.arange(N) == N - 1
     steps = [env.reset(seed=[4, 5, 6], options={"reset_mask": every}), env.step(np.zeros(N, int))]
     steps.append(env.reset(seed=[4, 5, 6], options={"reset_mask": last}))
-    seen = [(step[0]["a"] if isinstance(shared, dict) else step[0])[:, 0].tolist() for step in steps]
+    seen = [
+        (step[0]["a"] if isinstance(shared, dict) else step[0])[:, 0].tolist() for step in steps
+    ]
     assert seen == [[4, 5, 6], [14, 15, 16], [14, 15, 6]]

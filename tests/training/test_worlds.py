@@ -10,8 +10,10 @@ import torch
 from gymnasium import spaces
 
 from astray.analysis.adapters import from_trainer
+from astray.analysis.critic import visit
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import evaluate_runs, load_agent
+from astray.analysis.trained import Network
 from astray.envs.restarting import Restarting, action_table, as_seen
 from astray.experiments import outcomes, spec
 from astray.experiments.keep import keep
@@ -221,6 +223,15 @@ def test_an_agent_of_a_world_is_not_kept_which_is_told_before_it_is_evaluated(ru
     assert not [*tmp_path.iterdir()]
 
 
+def test_an_agent_of_a_world_is_visited_as_a_network(run):
+    with pytest.raises(ValueError, match="agent of the World room is visited as astray.Network"):
+        visit(agent := load_agent(run), "anywhere", range(3))
+    flat = Network(
+        agent.network, Room().observation_space, WORLD, lambda net, seen: net(seen.flatten(1))
+    )
+    assert visit(flat, "anywhere", range(3))[0]["value"].is_finite().all()
+
+
 def test_a_file_of_settings_imports_no_world():
     told = SMALL.to_json()
     assert Config.from_json(told) == SMALL and find("room") is WORLD
@@ -233,6 +244,10 @@ def test_the_command_line_trains_on_a_world_and_finds_it_again(astray, tmp_path)
     words = ["--num-envs", "4", "--num-steps", "16", "--minibatches", "1", "--steps", "64"]
     astray("train", "helpers.rooms:WORLD", "end", *words, "--out", str(run))
     last = run / "seed-0"
+    (last / "config.json").write_text((last / "config.json").read_text().replace('"room"', '"hut"'))
+    assert "unknown game 'hut'; " in (said := astray("evaluate", str(last), fails=True))
+    assert "; a World of your own is --world module:WORLD, or" in said
+    (last / "config.json").write_text((last / "config.json").read_text().replace('"hut"', '"room"'))
     again = ("evaluate", str(last), "--world", "helpers.rooms:WORLD", "--levels", "500:510")
     told = json.loads(astray(*again, "--json"))
     assert {"end", "anywhere"} >= {row["variant"] for row in told}

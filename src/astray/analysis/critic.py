@@ -22,13 +22,13 @@ import polars as pl
 from astray.acting import Asking, Levels, steps
 from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.policies import episode_noise
-from astray.analysis.trained import Model, Opaque, check_network
+from astray.analysis.trained import Agent, Model, Opaque, check_network
 from astray.envs.beginnings import without_autoreset
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
 from astray.record import count_levels
 from astray.validation import MOST, bounded, finite, of_kind
-from astray.world import SEEN, World
+from astray.world import SEEN, World, find
 
 STEP_SALT = 2**33  # no agent has this seed, or a larger one
 
@@ -63,6 +63,9 @@ def visit(
         ValueError: If an argument is invalid.
     """
     check_network(agent)
+    if isinstance(agent, Agent) and isinstance(find(agent.game), World):
+        told = "astray.Network(agent.network, space, game=WORLD), with the space of its environments"
+        raise ValueError(f"an agent of the World {agent.game} is visited as {told}")
     count = count_levels(levels)
     if per_episode is not None:
         bounded("per_episode", per_episode, 1, MOST)

@@ -112,6 +112,8 @@ def _rendered(
     for step in _fitting(acting.telling(policy, stage, 1, longest is None), pixels):
         played.append(step)
         shown.append(_enlarged(env.render()[0], pixels))
+        if shown[-1].shape != shown[0].shape:
+            raise ValueError(f"{variant}, level {level}: images of a video must have one shape")
     return played, np.stack(shown)
 
 
@@ -123,9 +125,11 @@ def _enlarged(frame: np.ndarray, pixels: int) -> np.ndarray:
 
 
 def _joined(parts: Sequence[Any]) -> Any:
-    """Concatenate arrays, or those of each name."""
+    """Concatenate arrays, or those of each name or place."""
     if isinstance(parts[0], Mapping):
         return {name: _joined([part[name] for part in parts]) for name in parts[0]}
+    if isinstance(parts[0], tuple):
+        return tuple(map(_joined, zip(*parts, strict=True)))
     return np.concatenate(parts)
 
 

@@ -11,6 +11,7 @@ from gymnasium.vector import VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
 
 from astray.envs.watch import Watch
+from astray.validation import shown
 
 
 class InTurn(VectorEnv):
@@ -110,7 +111,11 @@ class InTurn(VectorEnv):
         if isinstance(space, Box) and space.shape:  # a third of the time of `concatenate`
             together = np.empty((n * space.shape[0], *space.shape[1:]), space.dtype)
             return np.concatenate(self._observations, out=together).reshape(n, *space.shape)
-        return concatenate(space, self._observations, create_empty_array(space, n, np.empty))
+        try:
+            return concatenate(space, self._observations, create_empty_array(space, n, np.empty))
+        except (KeyError, TypeError, ValueError, IndexError) as error:  # of parts that are not so
+            told = f"an observation is not of its space {space}"
+            raise ValueError(f"{told}: {shown(error, 300)}") from error
 
 
 def _copied(seen: Any) -> Any:

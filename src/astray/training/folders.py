@@ -151,6 +151,8 @@ def read_config(run: Path) -> Config:
         raise FileNotFoundError(f"{run} is not a run: it has no {CONFIG}") from None
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
         said = str(error).replace(f"{path}", "it")
+        if said.startswith("unknown game"):  # the shell knows the World of a run by its option
+            said += "; a World of your own is --world module:WORLD, or astray.register(WORLD)"
         raise ValueError(f"{path} is not the settings of a run: {said}") from error
 
 
