@@ -131,6 +131,10 @@ def check_names(rules: Any, *more: str) -> None:
 def check_goals(rules: Any) -> None:
     """Raise ValueError if a goal, an end or a shift of a game or World names what it lacks."""
     check_ends(rules.ends)
+    if both := {*rules.events} & {*rules.measures}:  # columns of one table
+        raise ValueError(f"measures must have other names than events; got {', '.join(both)}")
+    if both := [end for end, one in rules.ends.items() if rules.goals.get(end, one) != one]:
+        raise ValueError(f"ends must have other names than goals; got {', '.join(both)}")
     for outcome in (*rules.goals.values(), *rules.ends.values()):
         match outcome:
             case More(measure, than):

@@ -34,6 +34,7 @@ LOG = logging.getLogger("astray")
 SLOW = 15  # seconds of CPU time for compiling a game; astray's own take 8 to 17
 SHORT, LONG = 30, 70  # steps of a shortened episode, and of a test with several of them
 LEVELS = range(5)  # checked levels of each variant
+DRAWN = "all random numbers come from `s`, and every pixel is written"  # what else can differ
 
 
 def check_game(game: Game, variants: Iterable[str] | None = None) -> None:
@@ -86,7 +87,8 @@ def check_batches(game: Game, variant: Variant) -> None:
         batch = GameVectorEnv(game, short, 3, autoreset_mode=mode, **options)
         make = functools.partial(GameEnv, game, short, **options)
         single = SyncVectorEnv([make] * 3, autoreset_mode=mode)
-        assert data_equivalence(batch.reset(seed=5), single.reset(seed=5))
+        begun = data_equivalence(batch.reset(seed=5), single.reset(seed=5))
+        assert begun, f"a level begins otherwise when it is begun again: {DRAWN}"
         ended = 0
         for actions in _actions(batch, LONG):
             ours = batch.step(actions)
@@ -123,12 +125,18 @@ def check_levels(game: Game, variant: Variant) -> None:
     for options in observations(game):
         env = GameVectorEnv(game, variant, 3, autoreset_mode="Disabled", **options)
         first, _ = env.reset(seed=1, options={"level": [7, 8, 9]})
+        begun = env.get_state()
         for actions in _actions(env, 20):
             if env.states["ended"].any():
                 break
             env.step(actions)
+        for event in game.events:
+            env._states[event] = 1  # as if it had happened in the last episode
         again, info = env.reset(options={"level": [9, 8, 7]})
-        assert np.array_equal(first, again[::-1]), "the level began in another way"
+        for name in {*(game.state.names or ())} - {"seed", "turn"}:
+            same = np.array_equal(begun[name], env.get_state()[name][::-1])
+            assert same, f"`generate` leaves {name!r} as it was in the last episode"
+        assert np.array_equal(first, again[::-1]), f"the level began in another way: {DRAWN}"
         assert info["level"].tolist() == [9, 8, 7]
 
 
@@ -156,18 +164,22 @@ def check_states(game: Game, variant: Variant) -> None:
 
 
 def check_events(game: Game, variant: Variant) -> None:
-    """Check that each event is reported once, with its step, and is never taken back."""
+    """Check that each event is reported once, with its step, and is never taken back.
+
+    A step also leaves the level's number and the other common fields as they are.
+    """
     env = GameVectorEnv(game, variant, 8, autoreset_mode="Disabled")
     env.reset(seed=0)
-    before = {event: env.states[event].copy() for event in game.events}
     for actions in _actions(env, LONG):
         if env.states["ended"].any():
-            break
+            env.reset(options={"reset_mask": env.states["ended"].copy()})
+        before = env.get_state()
         env.step(actions)
-        for event, was in before.items():
-            now, time = env.states[event].copy(), env.states["time"]
+        for event in game.events:
+            was, now, time = before[event], env.states[event], env.states["time"]
             assert ((now == was) | ((was == NEVER) & (now == time))).all(), f"{event}: {now}"
-            before[event] = now
+        for name in ("level", "shifted", "time_limit", "seed", "turn"):
+            assert np.array_equal(before[name], env.states[name]), f"`step` changes {name!r}"
 
 
 def check_symbols(game: Game, variant: Variant) -> None:
@@ -177,9 +189,10 @@ def check_symbols(game: Game, variant: Variant) -> None:
     several = (game.symbols.planes(variant).max((1, 2)) > 1).tolist()
     assert several == sorted(several), "planes of 0 and 1 must come first, as the mlp takes them"
     env = GameVectorEnv(game, variant, 3, observation="symbolic")
-    assert env.reset(seed=0)[0] in env.observation_space
-    for actions in _actions(env, 20):
-        assert env.step(actions)[0] in env.observation_space
+    seen = [env.reset(seed=0)[0], *(env.step(actions)[0] for actions in _actions(env, 20))]
+    assert all(one in env.observation_space for one in seen), (
+        "symbols are larger than `planes` says"
+    )
 
 
 def check_editing(game: Game, variant: Variant) -> None:

@@ -55,7 +55,7 @@ def test_who_learned_from_images_of_0_to_1_is_not_shown_those_of_0_to_255(kind):
         "model": from_sb3(model),
         "network": Network(network, space, ask=lambda network, seen: network(seen.float())),
     }[kind]
-    with pytest.raises(ValueError, match="sees numbers up to 1, .* shows uint8 up to 25"):
+    with pytest.raises(ValueError, match=r"sees numbers up to 1, .* shows uint8 up to 25"):
         evaluate(policy, "maze", "corner-small", range(2))
 
 

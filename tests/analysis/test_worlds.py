@@ -233,7 +233,7 @@ def test_images_of_several_shapes_are_no_video():
 
     world = replace(WORLD, shifts={}, variants={"end": Growing})
     with pytest.raises(
-        ValueError, match="room end.*level 3: images of a video must have one shape"
+        ValueError, match=r"room end.*level 3: images of a video must have one shape"
     ):
         video.play(RIGHT, world, "end", 3)
 

@@ -79,7 +79,7 @@ def test_environments_may_show_what_they_see_in_one_array(shared):
     class Shares(Anything):
         def reset(self, *, seed=None, options=None):
             array = shared["a"] if isinstance(shared, dict) else shared
-            array[:] = self.number = seed
+            array[:] = self.number = seed or 0
             return shared, {}
 
         def step(self, action):

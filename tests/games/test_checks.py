@@ -5,16 +5,21 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from astray import games, testing
 from astray.acting import initial_states
+from astray.game import Never
 from astray.games.maze import GAME
 from astray.insight.fields import splay
+from astray.kernel.jit import kernel
 from astray.lab import agents
 from astray.level import Level
+from astray.record import NEVER
+from helpers import lava
 
 SMALL = GAME.variant("anywhere-small")
 
@@ -124,6 +129,67 @@ def test_an_agent_is_put_as_a_level_would_begin_with_it_there(game):
         there = Level(game, variant, level.cells, tuple(cell), level.looks).state(solvable=False)
         events = set(game.events)  # a mouse may begin in its corner
         assert all(np.array_equal(state[n], there[n]) for n in state.dtype.names if n not in events)
+
+
+@kernel
+def forgets_an_event(s, p):
+    s.x, s.apples, s.lava, s.reached_goal = lava.START, 0, p.lava, NEVER
+
+
+@kernel
+def forgets_apples(s, p):
+    s.x, s.lava = lava.START, p.lava
+    s.reached_goal = s.burnt = NEVER
+
+
+@kernel
+def renumbers(s, action):
+    s.level += s.time == 2
+    return 0.0, False
+
+
+@kernel
+def burns_in_another_episode_before(s, action):
+    s.burnt = 1 if s.turn == 2 and s.time == 3 else s.burnt
+    return 0.0, s.time == 5
+
+
+@kernel
+def swaps(s, action):
+    return False, 1.0
+
+
+@pytest.mark.parametrize(
+    ("check", "wrong", "kind", "said"),
+    [
+        (testing.check_levels, {"generate": forgets_an_event}, AssertionError, "leaves 'burnt' as"),
+        (testing.check_levels, {"generate": forgets_apples}, AssertionError, "leaves 'apples' as"),
+        (testing.check_events, {"step": renumbers}, AssertionError, "`step` changes 'level'"),
+        (
+            testing.check_events,
+            {"step": burns_in_another_episode_before},
+            AssertionError,
+            r"burnt: \[1 1 1",
+        ),
+        (testing.check_events, {"step": swaps}, ValueError, r"and_\(float64.*loops\.py\", line"),
+    ],
+)
+def test_what_is_wrong_with_rules_and_levels_is_found(check, wrong, kind, said):
+    parts: Any = SimpleNamespace(**{**vars(lava), **wrong})
+    with pytest.raises(kind, match=said):
+        check(game := replace(lava.GAME, rules=parts, levels=parts), game.variant("lava"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"measures": {"reached_goal": lambda s: s["x"]}}, "other names than events; got reached_"),
+        ({"ends": {"corner": Never("reached_goal")}}, "other names than goals; got corner"),
+    ],
+)
+def test_names_that_would_be_confused_in_a_table_are_refused(changes, said):
+    with pytest.raises(ValueError, match=said):
+        replace(GAME, **changes)
 
 
 def of_states(kind):

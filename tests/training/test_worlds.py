@@ -224,7 +224,7 @@ def test_an_agent_of_a_world_is_not_kept_which_is_told_before_it_is_evaluated(ru
 
 
 def test_an_agent_of_a_world_is_visited_as_a_network(run):
-    with pytest.raises(ValueError, match="agent of the World room is visited as astray.Network"):
+    with pytest.raises(ValueError, match=r"agent of the World room is visited as astray\.Network"):
         visit(agent := load_agent(run), "anywhere", range(3))
     flat = Network(
         agent.network, Room().observation_space, WORLD, lambda net, seen: net(seen.flatten(1))

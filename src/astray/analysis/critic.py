@@ -64,7 +64,9 @@ def visit(
     """
     check_network(agent)
     if isinstance(agent, Agent) and isinstance(find(agent.game), World):
-        told = "astray.Network(agent.network, space, game=WORLD), with the space of its environments"
+        told = (
+            "astray.Network(agent.network, space, game=WORLD), with the space of its environments"
+        )
         raise ValueError(f"an agent of the World {agent.game} is visited as {told}")
     count = count_levels(levels)
     if per_episode is not None:

@@ -56,13 +56,13 @@ def check_scale(who: str, space: Any, observations: Any) -> None:
 
     A network that learned from images of 0 to 1 would also answer to 0 to 255.
     """
-    are_integers = isinstance(observations, np.ndarray) and observations.dtype.kind in "iu"
-    if are_integers and isinstance(space, Box) and space.dtype.kind == "f":
-        if (found := observations.max(initial=0)) > (most := space.high.max()):
-            raise ValueError(
-                f"{who} sees numbers up to {most:g}, as its space says; the environment shows "
-                f"{observations.dtype} up to {found}"
-            )
+    if not isinstance(observations, np.ndarray) or not isinstance(space, Box):
+        return
+    if observations.dtype.kind not in "iu" or space.dtype.kind != "f":
+        return
+    if (found := observations.max(initial=0)) > (most := space.high.max()):
+        told = f"the environment shows {observations.dtype} up to {found}"
+        raise ValueError(f"{who} sees numbers up to {most:g}, as its space says; {told}")
 
 
 def recalled(

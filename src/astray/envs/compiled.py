@@ -1,16 +1,18 @@
 """The batch loop, compiled for each game."""
 
 import functools
+import re
 from collections.abc import Callable
 
 import numpy as np
+from numba.core.errors import NumbaError
 
 from astray.envs import loops
 from astray.envs.pool import alone
 from astray.game import OWN, Game, Looks
 from astray.imports import announced
 from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
-from astray.validation import shown
+from astray.validation import brief, shown
 
 SILENT = 2.0  # seconds of compiling before it is announced
 COMPILING = "compiling {}: some 10 to 20 seconds of a free core, once for each version of its code"
@@ -53,10 +55,18 @@ def _compiled(game: Game, art: str) -> Callable:
     except (MemoryError, OSError):
         raise
     except Exception as error:
-        raise ValueError(
-            f"the code of the game {game.name!r} fails: {shown(error, 300)}"
-        ) from error
+        told = _brief(error) if isinstance(error, NumbaError) else shown(error, 300)
+        raise ValueError(f"the code of the game {game.name!r} fails: {told}") from error
     return run
+
+
+def _brief(error: NumbaError) -> str:
+    """Return the first place in numba's long text, and the two lines on what is wrong there."""
+    text = re.sub(r"\x1b\[[\d;]*m", "", str(error))
+    place = re.search(r'(?m)^File "[^"]*", line \d+', text)
+    lines = [one.strip() for one in text.splitlines() if not one.startswith(("Failed in", "File"))]
+    told = " ".join([line for line in lines if line][:2])
+    return f"{brief(told)} ({place[0]})" if place else brief(told)
 
 
 def _compile(game: Game, looks: Looks, run: Callable) -> None:

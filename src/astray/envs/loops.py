@@ -118,7 +118,8 @@ def run(states, looks, source, orders, seen, results, barrier, thread, generatio
                     level = NEXT_LEVEL
                 else:
                     s.time += 1
-                    reward[i], terminated[i] = step(s, actions[i])
+                    reward[i], ended = step(s, actions[i])
+                    terminated[i] = ended & True  # a real number fails: a reward in its place
                     truncated[i] = s.time >= s.time_limit and not terminated[i]
                     s.ended = terminated[i] or truncated[i]
                     if s.ended and mode == SAME_STEP:
