@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from functools import partial
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -123,6 +124,28 @@ def test_whole_numbers_are_scaled_by_their_bounds_and_parts_are_joined():
     both = spaces.Dict({"cell": spaces.Discrete(3), "way": spaces.Box(-1, 1, (1,), np.float32)})
     shown = {"cell": np.array([2, 0]), "way": np.array([[0.5], [-1]], np.float32)}
     assert as_seen(both, "symbolic", shown).tolist() == [[0, 0, 1, 0.5], [1, 0, 0, -1]]
+
+
+@pytest.mark.parametrize("huge", [np.inf, -1e300])
+def test_numbers_that_a_network_cannot_see_are_told(huge):
+    space = spaces.Box(-np.inf, np.inf, (2,), np.float64)
+    assert as_seen(space, "symbolic", np.array([[1e30, 2]])).tolist() == [[np.float32(1e30), 2]]
+    with pytest.raises(ValueError, match="a network sees finite numbers of 32 bits; got others of"):
+        as_seen(space, "symbolic", np.array([[1, 2], [3, huge]]))
+
+
+def test_images_whose_colours_seem_to_come_first_are_told(caplog):
+    for shape in ((4, 84, 84), (84, 84, 4), (3, 5, 3)):
+        space = spaces.Box(0, 255, shape, np.uint8)
+        made = partial(
+            gymnasium.wrappers.TransformObservation,
+            func=lambda seen, shape=shape: np.zeros(shape, np.uint8),
+            observation_space=space,
+        )
+        world = troubled(lambda made=made, **knobs: made(Room(**knobs)))
+        Restarting(world, world.variant("end"), 2, LEVELS, "image").close()
+    (told,) = caplog.messages
+    assert "of troubled end are (4, 84, 84): astray's networks take the last axis for" in told
 
 
 class Flat(torch.nn.Module):

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import Space, spaces
 from gymnasium.vector.utils import batch_space, iterate
 
-from astray.envs.worlds import WorldVectorEnv, check_repeats
+from astray.envs.worlds import WorldVectorEnv, check_repeats, tell
 from astray.validation import shown
 from astray.world import World, WorldVariant
 
@@ -58,13 +58,19 @@ def as_seen(space: Space, observation: str, shown_here: Any) -> np.ndarray:
             float32 of them, with integers scaled by their bounds to 0 to 1.
     """
     seen = seen_space(space, observation)
-    if not isinstance(space, spaces.Box):
+    if isinstance(space, spaces.Box):
+        array = np.asarray(shown_here)
+    else:
         n = len(next(iter(shown_here.values())) if isinstance(shown_here, Mapping) else shown_here)
         each: Any = iterate(batch_space(space, n), shown_here)
         vectors: Any = [spaces.flatten(space, one) for one in each]
-        return np.stack(vectors).astype(np.float32)
-    array = np.asarray(shown_here).reshape(len(shown_here), *seen.shape).astype(seen.dtype)
-    if observation == "image" or not np.issubdtype(space.dtype, np.integer):
+        array = np.stack(vectors)
+    with np.errstate(over="ignore"):  # which is told
+        array = array.reshape(len(array), *seen.shape).astype(seen.dtype)
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise ValueError(f"a network sees finite numbers of 32 bits; got others of {shown(space)}")
+    is_number = isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.integer)
+    if observation == "image" or not is_number:
         return array
     low, high = (end.ravel().astype(np.float32) for end in (space.low, space.high))
     return (array - low) / np.maximum(high - low, 1)
@@ -93,6 +99,11 @@ class Restarting:
             )
         except ValueError as error:
             raise ValueError(f"{variant} cannot be trained on: {error}") from error
+        shape = self.single_observation_space.shape
+        if len(shape) == 3 and shape[0] <= 4 < min(shape[1:]):  # also of stacked grey frames
+            tell(
+                f"images of {variant} are {shape}: astray's networks take the last axis for colours"
+            )
         self.game, self.single_action_space = world, spaces.Discrete(len(self._actions))
         self._taken: list[list[int]] = [[] for _ in range(num_envs)]  # actions of each episode
 
