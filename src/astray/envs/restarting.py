@@ -69,8 +69,7 @@ def as_seen(space: Space, observation: str, shown_here: Any) -> np.ndarray:
         array = array.reshape(len(array), *seen.shape).astype(seen.dtype)
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise ValueError(f"a network sees finite numbers of 32 bits; got others of {shown(space)}")
-    is_number = isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.integer)
-    if observation == "image" or not is_number:
+    if observation == "image" or not isinstance(space, spaces.Box) or space.dtype.kind not in "iu":
         return array
     low, high = (end.ravel().astype(np.float32) for end in (space.low, space.high))
     return (array - low) / np.maximum(high - low, 1)

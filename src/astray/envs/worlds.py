@@ -211,12 +211,14 @@ class WorldVectorEnv:
             self._give_up()
             told = f"the process of an environment of {self.variant} died"
             raise RuntimeError(told if self._envs else told + UNGUARDED) from error
-        except (AttributeError, TypeError, PickleError) as error:  # pickle raises each of them
+        except (AttributeError, KeyError, TypeError, PickleError) as error:  # also of pickle
             if not self.game.workers:
                 raise
             self._give_up()
-            told = f"spaces and infos of {self.variant} must be picklable, or World(workers=False)"
-            raise ValueError(f"{told}: {brief(error)}") from error
+            told = (
+                f"spaces and infos of {self.variant} must be picklable, and observations of their"
+            )
+            raise ValueError(f"{told} space, or World(workers=False): {shown(error)}") from error
 
     def _kill(self) -> None:
         for process in self._envs.processes:
