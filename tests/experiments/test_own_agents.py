@@ -12,7 +12,7 @@ from astray.analysis.adapters import Function
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.experiments import outcomes, spec
-from astray.experiments.run import reproduce
+from astray.experiments.run import reproduce, resolved
 from astray.experiments.spec import Experiment, OwnAgents, Plan
 from helpers.lava import GAME as LAVA
 from helpers.rooms import CELLS, WORLD, Room
@@ -64,6 +64,23 @@ def test_agents_are_trained_once_each_and_a_report_tells_what_they_do(tmp_path):
     when = table.stat().st_mtime_ns
     reproduce(study, "smoke", tmp_path)
     assert (tmp_path / "log").read_text() == "0 1 " and table.stat().st_mtime_ns == when
+
+
+@pytest.mark.parametrize("repeats", [True, False])
+def test_tables_are_computed_anew_where_an_environment_reads_another_file(repeats, tmp_path):
+    class Reads(Room):
+        def _seen(self):
+            return super()._seen() * np.float32((tmp_path / "light").read_text())
+
+    made = {name: partial(Reads, name) for name in WORLD.variants}
+    plan = experiment(replace(WORLD, variants=made, repeats=repeats), files=["a", "b"]).sizes[
+        "smoke"
+    ]
+    digests = []
+    for light in ("1", "1", "0.5"):
+        (tmp_path / "light").write_text(light)
+        digests.append(resolved(plan))
+    assert digests[0] == digests[1] and (digests[1] != digests[2]) == repeats
 
 
 def test_a_test_without_end_is_told_before_anybody_trains(tmp_path):

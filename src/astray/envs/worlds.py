@@ -1,17 +1,18 @@
 """Vector environments of a `World`, the counterpart of `GameVectorEnv`."""
 
 import contextlib
+import hashlib
 import logging
 import math
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from functools import cache, lru_cache, partial
-from pickle import PickleError
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from astray.envs.steps import choices
 from astray.envs.watch import Watch
 from astray.files import UNGUARDED
 from astray.game import OWN
-from astray.validation import MOST, bounded, brief, shown
+from astray.validation import MOST, bounded, shown
 from astray.witness import NOTED, witnessed
 from astray.world import World, WorldVariant
 
@@ -211,7 +212,7 @@ class WorldVectorEnv:
             self._give_up()
             told = f"the process of an environment of {self.variant} died"
             raise RuntimeError(told if self._envs else told + UNGUARDED) from error
-        except (AttributeError, KeyError, TypeError, PickleError) as error:  # also of pickle
+        except (AttributeError, KeyError, TypeError, pickle.PickleError) as error:  # also of pickle
             if not self.game.workers:
                 raise
             self._give_up()
@@ -310,6 +311,15 @@ def check_repeats(world: World, variant: WorldVariant, level: int, last: int, n:
                 "environment; World(workers=True) gives each a process. With World(repeats=False), "
                 "results differ from run to run"
             )
+
+
+def shown_first(world: World, variant: WorldVariant, level: int) -> str:
+    """Return a digest of what three levels from `level` on show, or "" if no level repeats.
+
+    No source tells what an environment reads from a file, or which version of a library it has.
+    """
+    told = [_played(world, variant, False, level + k) for k in range(3) if world.repeats]
+    return hashlib.sha256(pickle.dumps(told)).hexdigest()[:16] if told else ""
 
 
 def _played(world: World, variant: WorldVariant, amid: bool, *levels: int) -> list[Any]:

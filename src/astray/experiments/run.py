@@ -19,6 +19,7 @@ import torch
 from astray import provenance
 from astray.analysis.outcomes import load_shift
 from astray.envs.compiled import loop_of
+from astray.envs.worlds import shown_first
 from astray.experiments import catalogue, labs
 from astray.experiments.levels import check_tests, play
 from astray.experiments.spec import (
@@ -330,7 +331,7 @@ def resolved(plan: Plan) -> dict[str, Any]:
         name: [
             str(plan.variant_of(test)),
             asdict(load_shift(plan.game, test.shift)),
-            kernels_of(plan.game),
+            kernels_of(plan.game, plan.variant_of(test), plan.first_level),
         ]
         for name, test in {**plan.tests, **plan.visited}.items()
         if plan.own
@@ -340,16 +341,18 @@ def resolved(plan: Plan) -> dict[str, Any]:
             test.variant_for(config).to_json(),
             asdict(load_shift(config.find_game(), test.shift)),
             pictures_of(config, test.variant_for(config)),
-            kernels_of(config.find_game(), config.art),
+            kernels_of(config.find_game(), test.variant_for(config), plan.first_level, config.art),
         ]
         for name, test in {**plan.tests, **plan.visited}.items()
         for agent, config in plan.agents.items()
     }
 
 
-def kernels_of(game: Any, art: str = OWN) -> str:
-    """Return a digest of a game's kernels and of the values that they keep; a World has none."""
-    return "" if isinstance(game, World) else loop_of(game, game.drawn(art).name).__qualname__
+def kernels_of(game: Any, variant: Any, level: int, art: str = OWN) -> str:
+    """Return a digest of a game's kernels and the values that they keep, or what a World shows."""
+    if isinstance(game, World):
+        return shown_first(game, variant, level)
+    return loop_of(game, game.drawn(art).name).__qualname__
 
 
 def pictures_of(config: Config, variant: Any) -> str:
