@@ -276,9 +276,10 @@ def test_a_game_that_names_what_it_lacks_cannot_be_made(wrong, said):
 def test_a_game_whose_code_cannot_be_compiled_is_told():
     maze = games.find("maze")
     rules = SimpleNamespace(**vars(maze.rules) | {"step": lambda s, action: (0.0, False)})
-    with pytest.raises(
-        ValueError, match=r"code of the game 'plain' fails: TypingError.*global name .*step"
-    ):
+    told = (
+        r"code of the game 'plain' fails: Untyped global name 'step.* \(File \".*loops\.py\", line "
+    )
+    with pytest.raises(ValueError, match=told):
         GameVectorEnv(replace(maze, name="plain", rules=rules), "corner")
 
 

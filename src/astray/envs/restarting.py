@@ -56,6 +56,9 @@ def as_seen(space: Space, observation: str, shown_here: Any) -> np.ndarray:
     Args:
         observation: "image" leaves their axes: uint8, or float32. "symbolic" makes vectors [N, D]
             float32 of them, with integers scaled by their bounds to 0 to 1.
+
+    Raises:
+        ValueError: If a number is not finite in 32 bits.
     """
     seen = seen_space(space, observation)
     if isinstance(space, spaces.Box):

@@ -348,10 +348,10 @@ def resolved(plan: Plan) -> dict[str, Any]:
     }
 
 
-def kernels_of(game: Any, variant: Any, level: int, art: str = OWN) -> str:
+def kernels_of(game: Any, variant: Any, level: int | None, art: str = OWN) -> str:
     """Return a digest of a game's kernels and the values that they keep, or what a World shows."""
     if isinstance(game, World):
-        return shown_first(game, variant, level)
+        return shown_first(game, variant, level or 0)
     return loop_of(game, game.drawn(art).name).__qualname__
 
 
