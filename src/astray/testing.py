@@ -92,6 +92,7 @@ def check_batches(game: Game, variant: Variant) -> None:
         ended = 0
         for actions in _actions(batch, LONG):
             ours = batch.step(actions)
+            assert np.isfinite(ours[1]).all(), f"rewards must be finite numbers; got {ours[1]}"
             assert data_equivalence(ours, single.step(actions)), f"{mode}: a step differs"
             done = ours[2] | ours[3]
             ended += done.sum()

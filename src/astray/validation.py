@@ -72,7 +72,9 @@ def one_of(kind: str, given: Any, there: Any, of: str = "") -> None:
     names: Collection[str] = typing.get_args(there) or there
     if not isinstance(given, str) or given not in names:
         whose = f" of {of}" if of else ""
-        raise ValueError(f"unknown {kind} {shown(given)}{whose}; there are: {', '.join(names)}")
+        raise ValueError(
+            f"unknown {kind} {shown(given)}{whose}; there are: {', '.join(names) or 'none'}"
+        )
 
 
 def check_words(record: Any) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from astray import games, testing
 from astray.acting import initial_states
+from astray.analysis.outcomes import load_shift
 from astray.game import Never
 from astray.games.maze import GAME
 from astray.insight.fields import splay
@@ -155,6 +156,11 @@ def burns_in_another_episode_before(s, action):
 
 
 @kernel
+def pays_what_is_no_number(s, action):
+    return np.nan, s.time == 5
+
+
+@kernel
 def swaps(s, action):
     return False, 1.0
 
@@ -170,6 +176,12 @@ def swaps(s, action):
             {"step": burns_in_another_episode_before},
             AssertionError,
             r"burnt: \[1 1 1",
+        ),
+        (
+            testing.check_batches,
+            {"step": pays_what_is_no_number},
+            AssertionError,
+            "rewards must be finite numbers; got .nan",
         ),
         (testing.check_events, {"step": swaps}, ValueError, r"and_\(float64.*loops\.py\", line"),
     ],
@@ -190,6 +202,11 @@ def test_what_is_wrong_with_rules_and_levels_is_found(check, wrong, kind, said):
 def test_names_that_would_be_confused_in_a_table_are_refused(changes, said):
     with pytest.raises(ValueError, match=said):
         replace(GAME, **changes)
+
+
+def test_a_game_without_shifts_says_so():
+    with pytest.raises(ValueError, match="unknown shift 'corner' of maze; there are: none"):
+        load_shift(replace(GAME, shifts={}), "corner")
 
 
 def of_states(kind):

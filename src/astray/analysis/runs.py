@@ -90,7 +90,7 @@ def shift_of(config: Config) -> str:
     if not found:
         raise ValueError(
             f"no shift of {config.game} trains on {config.variant!r}, or tests on it; "
-            f"name one of: {', '.join(game.shifts)}"
+            f"name one of: {', '.join(game.shifts) or 'none, as it has no shifts'}"
         )
     return found[0]
 
