@@ -140,5 +140,5 @@ def test_models_without_an_actor_are_played_as_functions():
 
     model = sb3.DQN("MlpPolicy", Room(), buffer_size=10, device="cpu")
     assert isinstance(looked_into(from_sb3(model, greedy=True), MAZE), Opaque)
-    with pytest.raises(ValueError, match="DQN explores at random .* without seed; give greedy=Tr"):
+    with pytest.raises(ValueError, match=r"DQN explores at random .* without seed; give greedy=Tr"):
         from_sb3(model)

@@ -183,7 +183,7 @@ def swaps(s, action):
             AssertionError,
             "rewards must be finite numbers; got .nan",
         ),
-        (testing.check_events, {"step": swaps}, ValueError, r"and_\(float64.*loops\.py\", line"),
+        (testing.check_events, {"step": swaps}, ValueError, r"or_\(float64.*loops\.py\", line"),
     ],
 )
 def test_what_is_wrong_with_rules_and_levels_is_found(check, wrong, kind, said):

@@ -157,5 +157,5 @@ def test_a_bar_has_the_colours_that_the_map_shows(ground, opacity):
 def test_every_reference_line_is_drawn():
     at = {"one": 0.1, "two": 0.2, "three": 0.3, "four": 0.4, "five": 0.5}
     (axes,) = charts.points(VALUES.head(2), row="who", label="fraction", at=at).axes
-    lines = {line.get_label(): line.get_xdata()[0] for line in axes.get_lines()}
+    lines = {line.get_label(): np.asarray(line.get_xdata())[0] for line in axes.get_lines()}
     assert {name: lines.get(name) for name in at} == at

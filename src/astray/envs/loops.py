@@ -119,7 +119,7 @@ def run(states, looks, source, orders, seen, results, barrier, thread, generatio
                 else:
                     s.time += 1
                     reward[i], ended = step(s, actions[i])
-                    terminated[i] = ended & True  # a real number fails: a reward in its place
+                    terminated[i] = (ended | False) != 0  # reals fail: a reward in its place
                     truncated[i] = s.time >= s.time_limit and not terminated[i]
                     s.ended = terminated[i] or truncated[i]
                     if s.ended and mode == SAME_STEP:

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import Space, spaces
 from gymnasium.vector.utils import batch_space, iterate
 
-from astray.envs.worlds import WorldVectorEnv, check_repeats, tell
+from astray.envs.worlds import WorldVectorEnv, check_repeats
 from astray.validation import shown
 from astray.world import World, WorldVariant
 
@@ -101,11 +101,6 @@ class Restarting:
             )
         except ValueError as error:
             raise ValueError(f"{variant} cannot be trained on: {error}") from error
-        shape = self.single_observation_space.shape
-        if len(shape) == 3 and shape[0] <= 4 < min(shape[1:]):  # also of stacked grey frames
-            tell(
-                f"images of {variant} are {shape}: astray's networks take the last axis for colours"
-            )
         self.game, self.single_action_space = world, spaces.Discrete(len(self._actions))
         self._taken: list[list[int]] = [[] for _ in range(num_envs)]  # actions of each episode
 

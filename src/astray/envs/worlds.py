@@ -30,7 +30,7 @@ from astray.witness import NOTED, witnessed
 from astray.world import World, WorldVariant
 
 TRIED = 50  # steps of a level that is played twice
-tell = cache(logging.getLogger("astray").warning)  # each text once
+_tell = cache(logging.getLogger("astray").warning)  # each text once
 # Gymnasium's warnings of an error in a process, which it also raises, and of an interrupt.
 RECEIVED = r"(?s).*(ERROR: (Received the following|Traceback|Raising the last)|Calling `close`)"
 
@@ -181,7 +181,7 @@ class WorldVectorEnv:
                     )
         if not self._trusted and not self._envs.observation_space.contains(seen):
             self._trusted, space = True, self.single_observation_space
-            tell(f"observations of {self.game.name} are not all in {space}")
+            _tell(f"observations of {self.game.name} are not all in {space}")
 
     def _check_actions(self, actions: Any) -> None:
         space, n = self.single_action_space, self.num_envs

@@ -82,8 +82,10 @@ class Trainer:
         # The user's own names may be imported.
         own = is_own(config.network)
         shown = self.player.images  # of a World they may be other arrays
-        is_turned = shown.ndim == 4 and shown.shape[1] < shown.shape[2] == shown.shape[3]  # C, H, W
-        is_image = shown.ndim == 4 and shown.dtype == torch.uint8 and not is_turned
+        is_image = shown.ndim == 4 and shown.dtype == torch.uint8
+        if is_image:  # also of Atari's 210 x 160 pixels; small worlds may have three rows
+            first, *others = shown.shape[1:]
+            is_image = not (first < others[0] == others[1] or (first <= 4 and min(others) > 32))
         if config.observation == "image" and own and not is_image:
             raise ValueError(
                 f"network {config.network!r} sees images [H, W, C] uint8; got {shown.dtype} of "
