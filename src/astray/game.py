@@ -129,7 +129,10 @@ def check_names(rules: Any, *more: str) -> None:
 
 
 def check_goals(rules: Any) -> None:
-    """Raise ValueError if a goal, an end or a shift of a game or World names what it lacks."""
+    """Raise ValueError if a goal, an end or a shift of a game or World names what it lacks.
+
+    Events and measures are columns of one table, and differ in name; so do goals and ends.
+    """
     check_ends(rules.ends)
     if both := {*rules.events} & {*rules.measures}:  # columns of one table
         raise ValueError(f"measures must have other names than events; got {', '.join(both)}")

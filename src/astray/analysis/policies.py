@@ -88,7 +88,7 @@ class Walk:
 
         An episode may join the batch at any step, and leave it at any.
         """
-        # Columns are read whole: a field of a record takes as long as many actions.
+        # Columns are read whole, as a field of each record takes longer.
         named = zip(states, states["level"].tolist(), states["time"].tolist(), strict=True)
         return np.array([self._action(game, *one) for one in named], np.int64)
 

@@ -326,12 +326,22 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
 
 
 def resolved(plan: Plan) -> dict[str, Any]:
-    """Return what each test is for each of the plan's agents: levels, goals, pictures, kernels."""
+    """Return what each test is for each of the plan's agents: levels, goals, pictures, rules."""
+    shown: dict[str, str] = {}  # by variant, as all agents of a test are shown the same
+
+    def rules(game: Any, variant: Any, art: str = OWN) -> str:
+        """Return a digest of a game's kernels and values they keep, or of what a World shows."""
+        if not isinstance(game, World):
+            return loop_of(game, game.drawn(art).name).__qualname__
+        if (key := str(variant)) not in shown:
+            shown[key] = shown_first(game, variant, plan.first_level or 0)
+        return shown[key]
+
     own = {
         name: [
             str(plan.variant_of(test)),
             asdict(load_shift(plan.game, test.shift)),
-            kernels_of(plan.game, plan.variant_of(test), plan.first_level),
+            rules(plan.game, plan.variant_of(test)),
         ]
         for name, test in {**plan.tests, **plan.visited}.items()
         if plan.own
@@ -341,18 +351,11 @@ def resolved(plan: Plan) -> dict[str, Any]:
             test.variant_for(config).to_json(),
             asdict(load_shift(config.find_game(), test.shift)),
             pictures_of(config, test.variant_for(config)),
-            kernels_of(config.find_game(), test.variant_for(config), plan.first_level, config.art),
+            rules(config.find_game(), test.variant_for(config), config.art),
         ]
         for name, test in {**plan.tests, **plan.visited}.items()
         for agent, config in plan.agents.items()
     }
-
-
-def kernels_of(game: Any, variant: Any, level: int | None, art: str = OWN) -> str:
-    """Return a digest of a game's kernels and the values that they keep, or what a World shows."""
-    if isinstance(game, World):
-        return shown_first(game, variant, level or 0)
-    return loop_of(game, game.drawn(art).name).__qualname__
 
 
 def pictures_of(config: Config, variant: Any) -> str:
