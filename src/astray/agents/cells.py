@@ -95,8 +95,9 @@ class Cells(Pixels):
             pixels = [k + offset for k in first_pixels(side) for offset in range(WINDOW)]
             self.register_buffer(name, torch.tensor(pixels), persistent=False)
         self.add_heads(FEATURES, actions)
-        nn.init.normal_(self.attention.score.weight)
+        score = self.attention.score.weight
         with torch.no_grad():
+            score.copy_(torch.randn(score.shape, device="cpu"))  # on "meta": see `CircleEmbedding`
             self.unit.conv2.weight.mul_(STEADY)
 
     def cells(self, observations: Tensor) -> Tensor:

@@ -13,6 +13,8 @@ from torch import Tensor, nn
 from astray.agents.actor_critic import Pixels, dense
 from astray.agents.impala import Residual, block
 
+SHAPING = (nn.Conv2d, nn.MaxPool2d, nn.AdaptiveAvgPool2d)
+
 
 class Convolutions(Pixels):
     """Images [B, H, W, C] uint8 -> logits [B, actions], values [B].
@@ -28,9 +30,11 @@ class Convolutions(Pixels):
         super().__init__()
         self.body = nn.Sequential(OrderedDict(layers))
         height, width, channels = shape
-        with torch.no_grad():
-            inputs = self.body(torch.zeros(1, channels, height, width)).numel()
-        self.features = dense(inputs, features)
+        seen = torch.zeros(1, channels, height, width)
+        with torch.no_grad():  # the other layers shape nothing, and on "meta" load torch's compiler
+            for layer in self.body.modules():
+                seen = layer(seen) if isinstance(layer, SHAPING) else seen
+        self.features = dense(seen.numel(), features)
         self.add_heads(features, actions)
 
     def see(self, planes: Tensor) -> Tensor:
