@@ -12,7 +12,7 @@ from astray import games, grid
 from astray.acting import initial_states
 from astray.envs.vector import GameVectorEnv
 from astray.insight.actions import effects
-from astray.kernel.jit import kernel, passing
+from astray.kernel.jit import kernel
 from astray.lab import rules, wasm
 from astray.lab.worlds import snapshot
 from astray.level import Level
@@ -363,7 +363,7 @@ def test_a_kernel_does_in_a_page_what_it_does_in_python(there, asked, body):
 def test_a_kernel_returns_in_a_page_what_compiled_code_does(there, asked, body):
     s = np.zeros(1, FIELDS)
     s["b"], s["f"], s["c"] = (7, 8, 9), 0.3, (0.1, 0.2, 0.7)
-    for expected in (there[body]["returns"], plain(passing(asked(body)[0])(s[0]))):
+    for expected in (there[body]["returns"], plain(numba.njit(asked(body)[0])(s[0]))):
         assert expected == plain(AS_COMPILED[body])
 
 

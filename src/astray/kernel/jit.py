@@ -229,18 +229,13 @@ kernel = _part(_PartCompiler, forceinline=True)
 shared = _part(_LargePartCompiler)  # not inlined: for what is large or seldom called
 
 
-def passing(function: Callable) -> Any:
-    """Decorate a function that Python calls, without caching its compiled code in files."""
-    return numba.njit(nogil=True)(function)
-
-
 def entry(function: Any) -> Any:
-    """Decorate a function that Python calls; only these are cached in files.
+    """Decorate a function that Python calls; only their compiled code is cached in files.
 
     They are compiled one at a time, but for those of one game, whose batch loop has its own lock.
     """
     provenance.see(function)
-    compiled = passing(function)
+    compiled: Any = numba.njit(nogil=True)(function)
     # What closes over a function numba's files tell apart by its address.
     digest = None if function.__closure__ else code_digest(function)
 

@@ -22,7 +22,7 @@ from astray.analysis.trained import Agent
 from astray.files import check_empty, folder_aside, write_aside
 from astray.game import Game, Variant
 from astray.insight.fields import states_at
-from astray.kernel.jit import passing
+from astray.kernel.jit import entry
 from astray.kernel.rng import RNG_FIELDS, draw_u32, seed_twister
 from astray.lab import rules
 from astray.lab.agents import places, sees
@@ -204,7 +204,7 @@ def _undecided(s: Any, built: Any) -> dict[str, Any]:
     return told | ({"fields": packed} if packed else {})
 
 
-@passing
+@entry
 def _draws(twister, level, words, at):
     """Draw from the twister of a level's number until it is that of `words`; return how often."""
     seed_twister(twister, level)
