@@ -86,9 +86,9 @@ def test_a_notebook_is_saved_with_the_outputs_of_its_code(path):
 )
 def test_a_notebook_runs_to_its_end(path, tmp_path, monkeypatch):
     client = pytest.importorskip("nbclient")
-    for name, value in environment(
-        ASTRAY_NOTEBOOKS=SIZE, IPYTHONDIR=str(tmp_path), JUPYTER_PLATFORM_DIRS="1"
-    ).items():
+    settings = {"ASTRAY_NOTEBOOKS": SIZE, "IPYTHONDIR": str(tmp_path), "JUPYTER_PLATFORM_DIRS": "1"}
+    settings["MPLBACKEND"] = ""  # which EnvPool sets for all that follows, where it is imported
+    for name, value in environment(**settings).items():
         monkeypatch.setenv(name, value)
     notebook = read(path)
     metadata = dict(notebook.metadata)
