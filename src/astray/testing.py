@@ -10,6 +10,7 @@ AssertionError.
 import functools
 import logging
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -33,6 +34,7 @@ from astray.validation import shown
 LOG = logging.getLogger("astray")
 SLOW = 15  # seconds of CPU time for compiling a game; astray's own take 8 to 17
 SHORT, LONG = 30, 70  # steps of a shortened episode, and of a test with several of them
+INTERPRETED = 10  # steps that are interpreted: a drawing of single pixels takes 50 ms
 LEVELS = range(5)  # checked levels of each variant
 DRAWN = "all random numbers come from `s`, and every pixel is written"  # what else can differ
 
@@ -78,6 +80,31 @@ def check_parts(game: Game) -> None:
     assert OWN in game.looks, f"looks must have {OWN!r}; got {', '.join(game.looks)}"
     of = (*{type(variant) for variant in game.variants.values()},)
     assert len(of) == 1 and issubclass(of[0], Variant), f"variants must be of one class; got {of}"
+
+
+def check_indices(game: Game, variant: Variant) -> None:
+    """Check that interpreted code, in which every index is checked, finds all within its arrays.
+
+    Compiled code would end the process or change other memory. Each environment repeats one action.
+    """
+    begins: dict[str, Any] = {"level": (levels := np.array(LEVELS))}
+    actions = levels * len(game.actions) // len(levels)
+    for options in reversed(observations(game)):
+        env = GameVectorEnv(game, variant, len(levels), **options)
+        env._loop = getattr(env._loop, "py_func", env._loop)
+        try:
+            with np.errstate(all="ignore"):
+                env.reset(seed=0, options=begins)
+                for _ in range(INTERPRETED if "level" in begins else 1):
+                    env.step(actions)
+        except IndexError as error:
+            *_, last = traceback.extract_tb(error.__traceback__)
+            place = f"File {last.filename!r}, line {last.lineno}: {last.line}"
+            raise AssertionError(f"{game.name} leaves an array: {error} ({place})") from error
+        except Exception as error:
+            LOG.warning("no index of %s is checked: interpreted, %s", game.name, shown(error, 300))
+            return
+        begins = {"state": env.get_state()}  # images of where symbols led
 
 
 def check_batches(game: Game, variant: Variant) -> None:
@@ -314,9 +341,9 @@ def check_compiled_once(game: Game, variant: Variant) -> None:
 
 
 CHECKS: tuple[Callable[[Game, Variant], None], ...] = (
-    check_batches, check_gymnasium, check_seeds, check_levels, check_time_limit, check_states,
-    check_events, check_symbols, check_editing, check_solver, check_places, check_cells,
-    check_labels, check_measures, check_compiled_once,
+    check_indices, check_batches, check_gymnasium, check_seeds, check_levels, check_time_limit,
+    check_states, check_events, check_symbols, check_editing, check_solver, check_places,
+    check_cells, check_labels, check_measures, check_compiled_once,
 )  # fmt: skip
 
 

@@ -13,6 +13,8 @@ import pytest
 from astray import games, testing
 from astray.acting import initial_states
 from astray.analysis.outcomes import load_shift
+from astray.envs import vector
+from astray.envs.compiled import loop_of
 from astray.game import Never
 from astray.games.maze import GAME
 from astray.insight.fields import splay
@@ -190,6 +192,53 @@ def test_what_is_wrong_with_rules_and_levels_is_found(check, wrong, kind, said):
     parts: Any = SimpleNamespace(**{**vars(lava), **wrong})
     with pytest.raises(kind, match=said):
         check(game := replace(lava.GAME, rules=parts, levels=parts), game.variant("lava"))
+
+
+@kernel
+def walks_out(s, action):
+    s.x += action - 1
+    return PAID[s.x], False
+
+
+@kernel
+def draws_further(s, art, scene, image):
+    image[:] = 0
+    image[60 + s.x, 0, 0] = 255  # the mouse goes from cell 2 to the right
+
+
+@kernel
+def has_more_planes(s, planes):
+    planes[:] = 0
+    planes[1, 0, s.x] = 1
+
+
+PAID = np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("parts", "place"),
+    [
+        ({"step": walks_out}, "index 3 .* size 3 .*test_checks.* return PAID.s.x"),
+        ({"foreground": draws_further}, "index 72 .* size 64 .*test_checks.* image.60"),
+        ({"foreground_planes": lambda s, scene, planes: has_more_planes(s, planes)}, "index 1 "),
+    ],
+)
+def test_code_that_leaves_its_arrays_is_named_before_it_runs_compiled(parts, place, monkeypatch):
+    monkeypatch.setattr(testing, "report_compiling", lambda game: None)
+    own: Any = SimpleNamespace(**{**vars(lava), **parts})
+    looks = {"own": replace(lava.GAME.looks["own"], foreground=own.foreground)}
+    game = replace(lava.GAME, name="outside", rules=own, symbols=own, looks=looks)
+    monkeypatch.setattr(vector, "compiled_loop", loop_of)
+    with pytest.raises(AssertionError, match=f"outside leaves an array: {place}"):
+        testing.check_game(game, ["safe"])
+
+
+def test_code_that_runs_only_compiled_is_not_refused(caplog, monkeypatch):
+    own: Any = SimpleNamespace(**{**vars(lava), "step": lambda s, action: 1 // 0})
+    monkeypatch.setattr(vector, "compiled_loop", loop_of)
+    game = replace(lava.GAME, name="only-compiled", rules=own)
+    testing.check_indices(game, game.variant("safe"))
+    assert "no index of only-compiled is checked: interpreted, ZeroDivisionError" in caplog.text
 
 
 @pytest.mark.parametrize(
