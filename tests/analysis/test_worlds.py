@@ -315,6 +315,16 @@ def test_what_is_wrong_is_told_in_a_sentence(world, policy, said):
         evaluate_policies([policy], world, "end", LEVELS)
 
 
+def test_a_key_that_no_step_reported_is_told_where_one_policy_is_evaluated():
+    world = replace(WORLD, events={"reached_end": "ended", "reached_square": "square"})
+    with pytest.warns(worlds.Unreported, match="the key 'ended' of info, .*; keys were: square"):
+        assert len(evaluate(RIGHT, world, "end", LEVELS)) == len(LEVELS)
+    with pytest.raises(
+        ValueError, match="the key 'ended' of info"
+    ):  # and no warning, an error here
+        evaluate_policies([RIGHT], world, "end", LEVELS)
+
+
 def rate_of_nothing(env):
     return np.float64(np.nan) if env.steps < 3 else 0.5
 

@@ -1,5 +1,6 @@
 """Evaluation: a table of a policy's episodes, one in each level."""
 
+import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ import polars as pl
 from astray import world
 from astray.acting import Levels, Policy, Reward, steps
 from astray.envs.steps import paid
+from astray.envs.worlds import Unreported, unreported
 from astray.game import Game, Variant
 from astray.imports import guarded
 from astray.record import count_levels
@@ -55,6 +57,9 @@ def evaluate(
 
     Raises:
         ValueError: If there are no levels, or an argument is invalid.
+
+    Warns:
+        Unreported: If an event of a `World` names a key of info that no step reported.
     """
     game = world.find(game)
     if taken := {*COLUMNS} & {*game.events, *game.measures}:
@@ -88,6 +93,8 @@ def evaluate(
             }
             if measured_by:
                 last[k] = s
+    if told := unreported(game):
+        warnings.warn(told, Unreported, stacklevel=2)
     kinds = {"name": pl.String} | {event: pl.Int64 for event in game.events}
     table = pl.DataFrame(rows, schema_overrides=kinds)
     measures_of = [measured(name, of, last) for name, of in measured_by.items()]

@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -25,7 +26,7 @@ from astray.analysis.outcomes import (
 from astray.analysis.policies import scripts_of
 from astray.analysis.results import ALL, APART, Result
 from astray.analysis.trained import Agent, Loaded
-from astray.envs.worlds import check_reported
+from astray.envs.worlds import Unreported, unreported
 from astray.game import Game, Shift, Variant
 from astray.level_files import read_levels
 from astray.training import folders
@@ -268,7 +269,8 @@ def rehearse(
     first: Any = levels[:1] if isinstance(levels, Sequence | np.ndarray) else levels
     if isinstance(levels, Mapping):
         first = dict(itertools.islice(levels.items(), 1))
-    with torch.random.fork_rng(devices=[]):
+    unsaid = warnings.catch_warnings(action="ignore", category=Unreported)
+    with torch.random.fork_rng(devices=[]), unsaid:
         for policy in policies:
             evaluate(policy, game, variant, first, longest=1, **how)
 
@@ -318,11 +320,15 @@ def play_all(
     check_ending(game, variant, longest)
     how: Any = {"batch": batch, "measures": measures, "rewards": rewards}
     rehearse(policies if trial else (), game, variant, levels, **how)
+    with warnings.catch_warnings(action="ignore", category=Unreported):  # by one policy alone
+        tables = [evaluate(one, game, variant, levels, longest=longest, **how) for one in players]
+    if told := unreported(game):
+        raise ValueError(told)
     parts = []
-    for (its_name, origin), policy in zip(each, players, strict=True):
+    for (its_name, origin), table in zip(each, tables, strict=True):
         run, seed, steps = origin or (None, None, None)
         parts.append(
-            evaluate(policy, game, variant, levels, longest=longest, **how).with_columns(
+            table.with_columns(
                 policy=pl.lit(its_name),
                 run=pl.lit(run, pl.String),
                 seed=pl.lit(seed, pl.Int64),
@@ -330,8 +336,6 @@ def play_all(
                 variant=pl.lit(name),
             )
         )
-    if isinstance(game, World):
-        check_reported(game)
     labelled = label(pl.concat(parts), game, between)
     if isinstance(game, World) and game.level_key is not None:  # policies met other levels
         return labelled.with_columns(distinguishing=pl.lit(False))

@@ -279,15 +279,18 @@ def _arrays(seen: Any) -> Iterator[np.ndarray]:
         yield seen
 
 
-def check_reported(world: World) -> None:
-    """Raise ValueError if an event names a key of info that never occurred."""
-    for event, key in world.events.items():
+class Unreported(UserWarning):
+    """Warning that an event names a key of info that did not occur, which may be misspelt."""
+
+
+def unreported(world: Any) -> str:
+    """Return a sentence on the first event that names a key of info that never occurred, or ""."""
+    for event, key in world.events.items() if isinstance(world, World) else ():
         if isinstance(key, str) and key not in world.reported:
             there = ", ".join(sorted(world.reported - {NOTED})) or "none"
-            raise ValueError(
-                f"the event {event!r} of {world.name} is the key {key!r} of info, which no step "
-                f"reported; keys were: {there}"
-            )
+            told = f"the event {event!r} of {world.name} is the key {key!r} of info, which no step"
+            return f"{told} reported; keys were: {there}"
+    return ""
 
 
 @lru_cache(1)  # several policies are evaluated one after the other
