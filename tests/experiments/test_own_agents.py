@@ -12,7 +12,7 @@ from astray.analysis.adapters import Function
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.experiments import outcomes, spec
-from astray.experiments.run import reproduce, resolved
+from astray.experiments.run import own_runs, reproduce, resolved
 from astray.experiments.spec import Experiment, OwnAgents, Plan
 from helpers.lava import GAME as LAVA
 from helpers.rooms import CELLS, WORLD, Room
@@ -64,6 +64,23 @@ def test_agents_are_trained_once_each_and_a_report_tells_what_they_do(tmp_path):
     when = table.stat().st_mtime_ns
     reproduce(study, "smoke", tmp_path)
     assert (tmp_path / "log").read_text() == "0 1 " and table.stat().st_mtime_ns == when
+
+
+def test_agents_are_trained_anew_where_the_environment_of_their_training_reads_another_file(
+    tmp_path,
+):
+    class Reads(Room):
+        def _seen(self):
+            return super()._seen() * np.float32((tmp_path / f"light-{self.place}").read_text())
+
+    made = {name: partial(Reads, name) for name in WORLD.variants}
+    plan = experiment(replace(WORLD, variants=made), train=train).sizes["smoke"]
+    folders = []
+    for training, test in (("1", "1"), ("1", "0.5"), ("0.5", "0.5")):
+        for place, light in (("end", training), ("anywhere", test)):
+            (tmp_path / f"light-{place}").write_text(light)
+        folders.append(own_runs(plan, "right", tmp_path))
+    assert folders[0] == folders[1] != folders[2]
 
 
 @pytest.mark.parametrize("repeats", [True, False])

@@ -196,6 +196,10 @@ def own_runs(plan: Plan, name: str, root: Path) -> list[Path]:
             raise FileNotFoundError(f"there is no agent {name!r} at {missing[0]}")
         return found
     settings = [getattr(given.train, part, None) for part in ("args", "keywords")]  # of a partial
+    if isinstance(plan.world, World):
+        trained_in, variant = {s.train for s in plan.world.shifts.values()}, plan.world.variant
+        level = plan.first_level or 0
+        settings += [shown_first(plan.world, variant(one), level) for one in sorted(trained_in)]
     digest = provenance.digest(given.train, plan.world, data=settings) or uuid.uuid4().hex
     home = root / "agents" / f"{plan.game.name}-{name}-{digest[:8]}"
     found = [home / f"seed-{seed}" for seed in range(plan.seeds)]
