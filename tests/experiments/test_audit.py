@@ -196,6 +196,18 @@ def test_environments_whose_drawing_fails_are_audited_without_videos(tmp_path):
     assert not (page.parent / "videos").exists()
 
 
+def test_environments_whose_drawing_fails_amid_an_episode_are_audited_without_videos(tmp_path):
+    class Dims(Room):
+        def render(self):
+            if self.time == 2:
+                raise RuntimeError("the light went out")
+            return super().render()
+
+    makers = {name: partial(Dims, name, render_mode="rgb_array") for name in WORLD.variants}
+    page = audit(RIGHT, replace(WORLD, variants=makers), "end", levels=20, out=tmp_path)
+    assert "step 2: its render fails: RuntimeError" in page.read_text("utf-8")
+
+
 def blindly(place):
     return Room(place)
 

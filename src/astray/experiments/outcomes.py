@@ -3,7 +3,6 @@
 The policy "sampled" stands for the agents: as in the original, actions are sampled.
 """
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,6 @@ from astray.analysis.outcomes import (
     rates,
 )
 from astray.analysis.policies import Walk
-from astray.envs.worlds import WorldVectorEnv
 from astray.experiments.spec import SPREADS, Plan, Test, Work, open_agents
 from astray.experiments.videos import write_pair
 from astray.figures import charts
@@ -33,7 +31,7 @@ from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.folders import read_config
 from astray.validation import brief
-from astray.world import World, WorldVariant
+from astray.world import World
 
 STREAMS = (
     "the environments choose their levels, so that none is played again, and nothing is compared "
@@ -140,12 +138,19 @@ def findings_of(
     """
     trained, tested, *_ = work.plan.tests.values()
     usual = [table for table in outcome_tables(work) if not table.frame.is_empty()]
-    unseen = unrendered(work.plan, trained, tested)
-    more = {"videos": f"none: {unseen}"} if unseen else {}
+    shown, more = [], {}
+    try:
+        if of_streams(work.plan):
+            raise ValueError(STREAMS)
+        shown = videos(work, trained=trained, tested=tested, agent=agent)
+    except (ValueError, RuntimeError) as error:
+        if not isinstance(work.plan.game, World):
+            raise
+        more = {"videos": f"none: {brief(error)}"}  # a World may fail to render, at any step
     return Findings(
         answer=answer,
         claims=claims,
-        videos=[] if unseen else videos(work, trained=trained, tested=tested, agent=agent),
+        videos=shown,
         plots=[*outcome_plots(work, usual), *plots],
         tables=[*usual, *tables],
         settings=settings(work.plan) | more | dict(told or {}),
@@ -161,23 +166,6 @@ def played(work: Work, test: str, value: str | pl.Expr, policy: str = AGENTS) ->
 def of_streams(plan: Plan) -> bool:
     """Return whether the environments of a plan choose their levels themselves."""
     return isinstance(game := plan.game, World) and game.level_key is not None
-
-
-def unrendered(plan: Plan, *tests: Test) -> str:
-    """Return why a World's environments show no images; empty if they do."""
-    if of_streams(plan):
-        return STREAMS
-    game = plan.game
-    try:
-        for test in tests:
-            variant = plan.variant_of(test)
-            if isinstance(game, World) and isinstance(variant, WorldVariant):
-                with contextlib.closing(WorldVectorEnv(game, variant.rendered(), 1)) as env:
-                    env.reset(options={"level": [0]})
-                    env.render()
-    except (ValueError, RuntimeError) as error:
-        return brief(error)
-    return ""
 
 
 def outcome_tables(work: Work) -> tuple[Table, Table]:
