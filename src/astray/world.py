@@ -313,5 +313,8 @@ def find(game: str | Game | World) -> Game:
             return cast("Game", _registered[game])
         if values := [one.value for one in imports.offered(GROUP) if one.name == game]:
             of_kind(values[0], found := imports.only(game, values, GROUP), World)
+            if found.name != game:  # settings keep the World's own name
+                told = f"{values[0]} must be a World called {game!r}; got {shown(found.name)}"
+                raise ValueError(told)
             return cast("Game", found)
     return cast("Game", game) if isinstance(game, World) else games.find(game)

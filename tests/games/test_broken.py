@@ -312,6 +312,21 @@ def test_a_name_that_two_packages_offer_is_neither_of_both(tmp_path, monkeypatch
     games._offered.cache_clear()
 
 
+@pytest.mark.parametrize("name", ["room", "other"])
+def test_a_world_is_found_by_its_own_name_alone(tmp_path, monkeypatch, name):
+    offer(tmp_path, monkeypatch, rooms_offered="from helpers.rooms import WORLD")
+    (tmp_path / "guests-1.dist-info" / "entry_points.txt").write_text(
+        f"[{world.GROUP}]\n{name} = rooms_offered:WORLD\n"
+    )
+    if name == "room":
+        assert world.find(name).name == "room"
+    else:
+        with pytest.raises(
+            ValueError, match="rooms_offered:WORLD must be a World called 'other'; "
+        ):
+            world.find(name)
+
+
 def test_the_first_page_of_the_lab_tells_broken_games_and_why(strangers):
     (about,) = Session(make_lab("maze-corner", {})).answers('{"id": 1, "kind": "hello"}')
     assert set(about["games"]) == set(games.OWN)
