@@ -3,6 +3,7 @@
 import json
 import re
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ from astray.acting import initial_states
 from astray.analysis.adapters import Function, from_sb3
 from astray.analysis.policies import Random, Walk
 from astray.analysis.trained import Network, Opaque, looked_into
+from astray.envs.single import GameEnv
 from astray.insight import explain as page
 from astray.insight.fields import fields
 from astray.lab.serving import make_lab
@@ -34,8 +36,6 @@ def answers(lab, kind, **more):
 @pytest.fixture(scope="module")
 def ppo():
     sb3 = pytest.importorskip("stable_baselines3")
-    from astray.envs.single import GameEnv
-
     return sb3.PPO("MlpPolicy", GameEnv("maze", "corner-small"), seed=0, device="cpu")
 
 
@@ -132,6 +132,22 @@ def test_a_model_of_stable_baselines3_is_looked_into(ppo):
     assert logits.softmax(-1).detach().numpy() == pytest.approx(theirs, abs=1e-5)
     known = ppo.policy.predict_values(given)[:, 0].detach().numpy()
     assert values.detach().numpy() == pytest.approx(known, abs=1e-5)
+
+
+def test_a_model_behind_ones_own_wrapper_of_images_is_looked_into():
+    sb3 = pytest.importorskip("stable_baselines3")
+    env = gymnasium.wrappers.TransformObservation(
+        GameEnv("maze", "corner-small"),
+        lambda image: image.transpose(2, 0, 1),
+        gymnasium.spaces.Box(0, 255, (3, 64, 64), np.uint8),
+    )
+    model = sb3.PPO("MlpPolicy", env, device="cpu")
+    seen = np.random.default_rng(0).integers(0, 255, (20, 64, 64, 3), np.uint8)
+    theirs = model.policy.get_distribution(model.policy.obs_to_tensor(seen)[0]).distribution.logits
+    lab = make_lab(from_sb3(model), {"game": "maze", "variant": "anywhere-small"})
+    logits = lab.agents.player("sb3").outputs(seen)[0].detach().numpy()
+    assert logits == pytest.approx(theirs.detach().numpy(), abs=1e-6)
+    assert answers(lab, "fields")["value"][0] is not None
 
 
 def test_models_without_an_actor_are_played_as_functions():

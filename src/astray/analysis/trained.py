@@ -34,6 +34,7 @@ from astray.world import World
 # multiple of it costs time.
 AT_ONCE = {"symbolic": 64, "image": 16}
 IMAGE = 64 * 64  # numbers in an observation from which on it is passed on as an image
+IMAGES, COLOURS_FIRST = (Box(0, 255, s, np.uint8) for s in ((64, 64, 3), (3, 64, 64)))  # of games
 # Multiplications per forward pass below which a second thread costs more than it saves, up to five
 # times as much on busy processors.
 FEW = 200_000_000
@@ -397,6 +398,10 @@ def looked_into(policy: Policy, game: Game) -> Agent | Network | Opaque:
     """Return a policy in the form that analyses take: its network, or `Opaque` without one."""
     found = getattr(policy, "network", None) if not isinstance(policy, Agent | Network) else policy
     if isinstance(found, Network):
+        if (found.observation, found.space) == ("image", COLOURS_FIRST):  # behind a wrapper
+            ask = found.ask or torch.nn.Module.__call__
+            turned = {"ask": lambda net, seen: ask(net, seen.permute(0, 3, 1, 2)), "space": IMAGES}
+            found = replace(found, **turned)
         return replace(found, game=game.name)
     return found if isinstance(found, Agent) else Opaque(policy, game.name)
 
