@@ -1,6 +1,7 @@
 """Every formula of PPO against a slow, obvious version; the networks against the paper."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -95,6 +96,14 @@ def test_reward_normalisation_keeps_the_moments_of_all_returns_so_far():
         np.testing.assert_allclose(given, np.clip(reward / np.sqrt(spread), -10, 10), rtol=2e-3)
         running[ended] = 0
     assert normaliser.mean == pytest.approx(np.mean(history), abs=1e-3)
+
+
+@pytest.mark.parametrize("vast", [2e154, -1e300])
+def test_rewards_whose_variance_is_no_number_are_refused(vast):
+    normaliser, ended = RewardNormaliser(2), np.zeros(2, bool)
+    normaliser(np.array([1e140, 1.0]), ended)
+    with pytest.raises(ValueError, match=re.escape(f"rewards up to {abs(vast):g} are too")):
+        normaliser(np.array([1.0, vast]), ended)
 
 
 def test_normalised_rewards_are_clipped():

@@ -198,8 +198,13 @@ class RewardNormaliser:
     def __post_init__(self) -> None:
         self.returns = np.zeros(self.num_envs)
 
+    @np.errstate(over="ignore", invalid="ignore")
     def __call__(self, reward: np.ndarray, ended: np.ndarray) -> np.ndarray:
-        """Update the statistics with `reward`, `ended` [N]; return normalised rewards [N]."""
+        """Update the statistics with `reward`, `ended` [N]; return normalised rewards [N].
+
+        Raises:
+            ValueError: If the variance is no finite number, by which all rewards would be 0.
+        """
         self.returns = self.gamma * self.returns + reward
         # Chan et al.'s parallel update of mean and variance.
         n, delta = self.num_envs, self.returns.mean() - self.mean
@@ -207,6 +212,11 @@ class RewardNormaliser:
         squares = self.variance * self.count + self.returns.var() * n
         self.mean += delta * n / total
         self.variance = (squares + delta**2 * self.count * n / total) / total
+        if not np.isfinite(self.variance):
+            raise ValueError(
+                f"rewards up to {np.abs(reward).max():g} are too large to be normalised: the "
+                "variance of their returns is no finite number; divide them"
+            )
         self.count = total
         self.returns[ended] = 0.0
         return self.scaled(reward)
