@@ -8,7 +8,7 @@ from torch import nn
 from astray.acting import steps
 from astray.analysis.critic import visit
 from astray.analysis.trained import Network
-from astray.insight.activations import capture, layers
+from astray.insight.activations import activations, capture, layers
 from astray.insight.attribution import gradients, integrated_gradients, occlusion
 from astray.insight.interventions import ablate, patch, steer
 from astray.insight.probes import probe
@@ -96,6 +96,14 @@ def test_attribution_adds_up_to_the_value(model):
     rise = (model.network(seen)[1][:, 0] - nothing).detach().numpy()
     assert np.allclose(integrated_gradients(model, shown).sum((1, 2)), rise, atol=1e-3)
     assert occlusion(model, shown).shape == shown.shape
+
+
+def test_a_layer_that_a_pass_calls_twice_is_refused_with_the_reason(model):
+    ask = lambda network, seen: (network(seen)[0], network(seen)[1])  # noqa: E731
+    twice = Network(model.network, model.space, WORLD, ask)
+    seen = np.zeros((2, *model.space.shape), model.space.dtype)
+    with pytest.raises(ValueError, match="of those that a pass calls once; there are: none"):
+        activations(twice, seen, [HIDDEN])
 
 
 def test_what_cannot_be_looked_into_is_told(model):
