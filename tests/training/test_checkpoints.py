@@ -195,14 +195,16 @@ def test_a_trainer_has_the_arrays_of_its_training(run, name, change, message):
     assert files(run) == before
 
 
-def test_a_trainer_lacks_nothing(run):
+@pytest.mark.parametrize("names", [["exp_avg_sq"], ["exp_avg", "exp_avg_sq", "step"]])
+def test_a_trainer_lacks_nothing(run, names):
     path = checkpoint.latest(run) / checkpoint.TRAINER
     tensors = load_file(path)
-    del tensors["adam.3.exp_avg_sq"]
+    for name in names:
+        del tensors[f"adam.3.{name}"]
     with safe_open(path, "np") as file:
         told = file.metadata()
     save_file(tensors, path, told)
-    with pytest.raises(ValueError, match=r"adam\.3\.exp_avg_sq is missing"):
+    with pytest.raises(ValueError, match=rf"adam\.3\.{names[0]} is missing"):
         train(SHORT, run, progress=False)
 
 

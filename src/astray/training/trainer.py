@@ -223,9 +223,10 @@ class Trainer:
         The optimizer's moments, which the first step creates, and the number of recent episodes
         may differ.
         """
-        wanted = self.tensors()
-        for k, weight in enumerate(self.weights):
-            if _below(tensors, f"adam.{k}."):  # else it is frozen, or nothing depends on it
+        wanted, its = self.tensors(), self.config
+        all_learn = is_own(its.network) and its.loss is its.teacher is None
+        for k, weight in enumerate(self.weights):  # others may be frozen, or not asked
+            if all_learn or _below(tensors, f"adam.{k}."):
                 wanted |= {f"adam.{k}.{name}": weight.cpu() for name in MOMENTS}
                 wanted[f"adam.{k}.step"] = torch.zeros(())
         if odd := sorted(wanted.keys() ^ tensors.keys()):
