@@ -347,7 +347,8 @@ def steps(
     check_ending(game, variant, longest)
     n = min(int(batch), count)
     if isinstance(game, World) and game.repeats:
-        check_repeats(game, variant := game.variant(variant), *level_numbers(levels)[[0, -1]], n)
+        few = level_numbers(levels)[[0, count // 2, -1]].tolist()
+        check_repeats(game, variant := game.variant(variant), tuple(few), n)
     if isinstance(game, World) and game.workers and game.level_key is None:
         n = min(n, 2 * usable_processors())  # more processes take memory, and no less time
     env = without_autoreset(game, variant, n, policy.observation, policy.art, longest)

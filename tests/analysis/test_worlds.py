@@ -129,11 +129,49 @@ def test_environments_that_share_something_are_refused_where_several_play():
         evaluate(RIGHT, world, "anywhere", LEVELS)
 
 
-@pytest.mark.parametrize("levels, last", [(LEVELS, 97), ([3], 3)])
+@pytest.mark.parametrize("levels, last", [(LEVELS, 2), ([3, 1], 1), ([3], 3)])
 def test_an_environment_that_keeps_something_of_its_last_episode_is_refused(levels, last):
     world = replace(WORLD, variants=dict.fromkeys(WORLD.variants, Moving))
     with pytest.raises(ValueError, match=f"level 3 is another one .*, after level {last}: step 0"):
         evaluate(RIGHT, world, "anywhere", levels)
+
+
+class Begun(Room):
+    """Each has a place of its own from the beginning."""
+
+    places = itertools.cycle(range(CELLS))
+
+    def __init__(self, *given, **more):
+        super().__init__(*given, **more)
+        self.beginning = next(self.places)
+
+    def reset(self, **given):
+        _, info = super().reset(**given)
+        self.square = self.beginning
+        return self._seen(), info
+
+
+def test_environments_that_differ_from_their_beginning_on_are_refused():
+    world = replace(WORLD, variants=dict.fromkeys(WORLD.variants, Begun))
+    with pytest.raises(ValueError, match="level 3 is another one"):
+        evaluate(RIGHT, world, "anywhere", LEVELS)
+
+
+class Follows(Room):
+    """Its square lies elsewhere after level 2."""
+
+    last = 0
+
+    def reset(self, *, seed=None, options=None):
+        _, info = super().reset(seed=seed, options=options)
+        self.square, self.last = (self.square + (self.last == 2)) % CELLS, seed
+        return self._seen(), info
+
+
+def test_an_environment_that_keeps_something_of_one_level_in_three_is_refused():
+    world = replace(WORLD, variants=dict.fromkeys(WORLD.variants, Follows))
+    with pytest.raises(ValueError, match=r"level 3 is another one .*, after level 2: step 0"):
+        evaluate(RIGHT, world, "anywhere", LEVELS)
 
 
 def test_outcomes_base_rates_and_distinguishing_levels_are_those_of_games():
@@ -392,7 +430,7 @@ def test_an_environment_that_hangs_in_this_process_is_interrupted():
 def test_the_level_that_is_played_twice_is_watched(trouble, workers, said):
     world = troubled(trouble, workers=workers, patience=2.0)
     with pytest.raises(RuntimeError, match=said):
-        check_repeats(world, world.variant("anywhere"), 3, 3, 1)
+        check_repeats(world, world.variant("anywhere"), (3,), 1)
 
 
 @pytest.mark.parametrize("workers", [False, True])

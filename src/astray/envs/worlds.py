@@ -294,26 +294,28 @@ def unreported(world: Any) -> str:
 
 
 @lru_cache(1)  # several policies are evaluated one after the other
-def check_repeats(world: World, variant: WorldVariant, level: int, last: int, n: int) -> None:
-    """Check that a level is the same when it is played again, in an environment that played `last`.
+def check_repeats(world: World, variant: WorldVariant, levels: tuple[int, ...], n: int) -> None:
+    """Check that `levels` are the same in another environment, each after another level.
 
     Otherwise results cannot be repeated, and nothing can be compared in the same levels. If `n`
-    environments will play in one process, another one plays `last` amid its episode.
+    environments will play in one process, another one plays amid the episodes played again.
 
     Raises:
-        ValueError: If the two episodes differ.
+        ValueError: If two episodes of a level differ.
     """
-    first = _played(world, variant, False, level)
-    again = _played(world, variant, n > 1 and not world.workers, last, level)
-    for time, (one, other) in enumerate(zip(first, again, strict=False)):
-        if not data_equivalence(one, other, exact=True):
-            raise ValueError(
-                f"{variant}, level {level} is another one when it is played again with the same "
-                f"actions, after level {last}: step {time} differs. Let all that is drawn come "
-                "from the seed of the reset, and nothing from the last episode or another "
-                "environment; World(workers=True) gives each a process. With World(repeats=False), "
-                "results differ from run to run"
-            )
+    few = [*dict.fromkeys(levels)]
+    back, once = [few[-1], *few[::-1]], _played(world, variant, few)
+    twice = _played(world, variant, back, n > 1 and not world.workers)
+    for level, last, first, again in zip(few, back[-2::-1], once, twice[::-1], strict=False):
+        for time, (one, other) in enumerate(zip(first, again, strict=False)):
+            if not data_equivalence(one, other, exact=True):
+                raise ValueError(
+                    f"{variant}, level {level} is another one when it is played again with the "
+                    f"same actions, after level {last}: step {time} differs. Let all that is drawn "
+                    "come from the seed of the reset, and nothing from the last episode or another "
+                    "environment; World(workers=True) gives each a process. With "
+                    "World(repeats=False), results differ from run to run"
+                )
 
 
 def shown_first(world: World, variant: WorldVariant, level: int) -> str:
@@ -321,7 +323,7 @@ def shown_first(world: World, variant: WorldVariant, level: int) -> str:
 
     No source tells what an environment reads from a file, or which version of a library it has.
     """
-    told = [_played(world, variant, False, level + k) for k in range(3) if world.repeats]
+    told = [_played(world, variant, [level + k])[0] for k in range(3) if world.repeats]
     return hashlib.sha256(b"".join(_bytes(told))).hexdigest()[:16] if told else ""
 
 
@@ -336,16 +338,22 @@ def _bytes(told: Any) -> Iterator[bytes]:
         yield repr(told).encode() if array.dtype.hasobject else array.tobytes()
 
 
-def _played(world: World, variant: WorldVariant, amid: bool, *levels: int) -> list[Any]:
-    """Play random actions in `levels`, watched as an evaluation is; return the last episode."""
-    env, told = WorldVectorEnv(world, variant, 1), []
+def _played(
+    world: World, variant: WorldVariant, levels: Sequence[int], amid: bool = False
+) -> list[list[Any]]:
+    """Play random actions in `levels`, watched as an evaluation is; return the episodes.
+
+    If `amid`, another environment plays amid each of them, as it may share something.
+    """
+    env, episodes = WorldVectorEnv(world, variant, 1), []
     with contextlib.closing(env):
         for level in levels:
             (space := env.single_action_space).seed(int(level))
-            told = [deepcopy(env.reset(options={"level": [level]})[0])]
-            if amid:  # another environment plays, which may share something with this one
-                _played(world, variant, False, levels[0])
+            told: list[Any] = [deepcopy(env.reset(options={"level": [level]})[0])]
+            if amid:
+                _played(world, variant, levels[:1])
             while len(told) <= TRIED and not env.states["ended"][0]:
                 taken = env.step(np.array([space.sample()]))[:4]
                 told.append(deepcopy((*taken, env.get_state().tobytes())))  # NaNs as equal bytes
-    return told
+            episodes.append(told)
+    return episodes
