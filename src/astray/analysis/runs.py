@@ -324,18 +324,17 @@ def play_all(
         tables = [evaluate(one, game, variant, levels, longest=longest, **how) for one in players]
     if told := unreported(game):
         raise ValueError(told)
-    parts = []
-    for (its_name, origin), table in zip(each, tables, strict=True):
-        run, seed, steps = origin or (None, None, None)
-        parts.append(
-            table.with_columns(
-                policy=pl.lit(its_name),
-                run=pl.lit(run, pl.String),
-                seed=pl.lit(seed, pl.Int64),
-                checkpoint=pl.lit(steps, pl.Int64),
-                variant=pl.lit(name),
-            )
+    parts = [
+        table.with_columns(
+            policy=pl.lit(its_name),
+            run=pl.lit(run, pl.String),
+            seed=pl.lit(seed, pl.Int64),
+            checkpoint=pl.lit(steps, pl.Int64),
+            variant=pl.lit(name),
         )
+        for (its_name, origin), table in zip(each, tables, strict=True)
+        for run, seed, steps in [origin or (None, None, None)]
+    ]
     labelled = label(pl.concat(parts), game, between)
     if isinstance(game, World) and game.level_key is not None:  # policies met other levels
         return labelled.with_columns(distinguishing=pl.lit(False))

@@ -138,15 +138,12 @@ def findings_of(
     """
     trained, tested, *_ = work.plan.tests.values()
     usual = [table for table in outcome_tables(work) if not table.frame.is_empty()]
-    shown, more = [], {}
+    shown, more = [], {"videos": f"none: {STREAMS}"} if of_streams(work.plan) else {}
+    told_of = (ValueError, RuntimeError) if isinstance(work.plan.game, World) else ()
     try:
-        if of_streams(work.plan):
-            raise ValueError(STREAMS)
-        shown = videos(work, trained=trained, tested=tested, agent=agent)
-    except (ValueError, RuntimeError) as error:
-        if not isinstance(work.plan.game, World):
-            raise
-        more = {"videos": f"none: {brief(error)}"}  # a World may fail to render, at any step
+        shown = [] if more else videos(work, trained=trained, tested=tested, agent=agent)
+    except told_of as error:  # it may fail to render, at any step
+        more = {"videos": f"none: {brief(error)}"}
     return Findings(
         answer=answer,
         claims=claims,

@@ -213,10 +213,8 @@ class RewardNormaliser:
         self.mean += delta * n / total
         self.variance = (squares + delta**2 * self.count * n / total) / total
         if not np.isfinite(self.variance):
-            raise ValueError(
-                f"rewards up to {np.abs(reward).max():g} are too large to be normalised: the "
-                "variance of their returns is no finite number; divide them"
-            )
+            most = f"{np.abs(reward).max():g}"
+            raise ValueError(f"rewards up to {most} are too large for a variance; divide them")
         self.count = total
         self.returns[ended] = 0.0
         return self.scaled(reward)
