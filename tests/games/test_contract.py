@@ -15,7 +15,12 @@ from astray.envs.vector import GameVectorEnv
 from helpers.cases import FEW, SHAPES
 
 MODES = list(AutoresetMode)
-OF_SHAPES = (testing.check_batches, testing.check_gymnasium, testing.check_compiled_once)  # slow
+OF_SHAPES = (
+    testing.check_indices,
+    testing.check_batches,
+    testing.check_gymnasium,
+    testing.check_compiled_once,
+)  # slow
 
 
 @pytest.mark.parametrize("game, variant", FEW)
