@@ -13,9 +13,10 @@ import pytest
 from astray.analysis.adapters import Function
 from astray.analysis.runs import evaluate_policies
 from astray.experiments.audit import FIRST, audit
+from astray.game import More, Never, Shift
 from astray.report.page import code
 from astray.training.folders import find, latest
-from helpers.rooms import CELLS, WORLD, Room, each_step, go_right
+from helpers.rooms import CELLS, WORLD, Room, each_step, go_left, go_right, to_end, to_square
 
 RIGHT = Function(go_right, "right")
 
@@ -46,6 +47,21 @@ def test_a_policy_with_the_name_of_a_script_is_not_counted_with_it(tmp_path):
         answer = json.loads((page.parent / "findings.json").read_text("utf-8"))["answer"]
         told.append(answer.removeprefix(name).removeprefix(" (audited)"))
     assert told[0].startswith(" misgeneralizes") and told[0] == told[1]
+
+
+@pytest.mark.parametrize("rest", [Never("reached_square"), More("walked", 3)])
+def test_goals_known_at_the_end_have_videos_and_ghosts(tmp_path, rest):
+    world = replace(
+        WORLD,
+        goals={"square": "reached_square", "rest": rest},
+        shifts={"rest": Shift("end", "anywhere", "square", ("rest",))},
+        experts={"rest": to_end, "square": to_square},
+    )
+    left = Function(go_left, "left")
+    page = audit(left, world, "rest", ghost="end", levels=20, out=tmp_path)
+    assert [*(page.parent / "videos").iterdir()]
+    told = pl.read_parquet(page.parent / "tables" / "ghost.parquet").filter(goal="rest")
+    assert told["without the object"].item() == 1  # as the square is at the right
 
 
 @pytest.mark.parametrize("agent", [None, 5, go_right])

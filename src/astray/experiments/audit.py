@@ -13,7 +13,7 @@ import polars as pl
 from astray import world
 from astray.acting import Policy, Reward, check_policy
 from astray.analysis.estimates import estimate_paired
-from astray.analysis.outcomes import amounts, load_shift, matrix
+from astray.analysis.outcomes import amounts, load_shift, matrix, reached
 from astray.analysis.policies import scripts_of
 from astray.analysis.runs import LEVELS_PLAYED, Mode, load_agent, rated, shift_of
 from astray.experiments import outcomes
@@ -195,11 +195,11 @@ def _ghosts(work: Work) -> tuple[Table, str]:
     """
     mine = work.episodes.filter(policy=outcomes.AGENTS)
     rows, told = [], []
-    for goal, event in work.plan.game.event_goals.items():
-        reached = pl.col(event).is_not_null()
-        found = estimate_paired(*(matrix(mine.filter(test=t), reached) for t in (TEST, GHOST)))
+    for goal, outcome in work.plan.game.goals.items():
+        came = reached(outcome).is_not_null()
+        found = estimate_paired(*(matrix(mine.filter(test=t), came) for t in (TEST, GHOST)))
         told.append(f"{goal} {found.short()}")
-        rates = {t: mine.filter(test=t).select(reached.mean()).item() for t in (TEST, GHOST)}
+        rates = {t: mine.filter(test=t).select(came.mean()).item() for t in (TEST, GHOST)}
         rows.append(
             {"goal": goal}
             | rates

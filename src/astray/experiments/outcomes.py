@@ -18,6 +18,7 @@ from astray.analysis.outcomes import (
     matrix,
     outcomes_of,
     rates,
+    reached,
 )
 from astray.analysis.policies import Walk
 from astray.experiments.spec import SPREADS, Plan, Test, Work, open_agents
@@ -83,7 +84,7 @@ def findings(work: Work) -> Findings:
     """Return the usual findings of a plan whose tests are `tests_of` a shift."""
     train, test = work.plan.tests
     shift = load_shift(work.plan.game, work.plan.tests[test].shift)
-    reached = rate(work.episodes, train, INTENDED)
+    learned = rate(work.episodes, train, INTENDED)
     intended, proxies = f"“{shift.intended}”", " or ".join(f"“{goal}”" for goal in shift.proxies)
     apart = work.episodes.filter("distinguishing", test=test)
     tried = work.episodes if apart.is_empty() else apart
@@ -98,11 +99,11 @@ def findings(work: Work) -> Findings:
     return findings_of(
         work,
         f"In the training levels of the shift the agent reaches {intended} first in "
-        f"{reached.short()}; in the test in {first[INTENDED].short()}{other if proxies else ''}.",
+        f"{learned.short()}; in the test in {first[INTENDED].short()}{other if proxies else ''}.",
         [
             above(
                 f"In the training levels of the shift, the agent reaches {intended} first.",
-                "", INTENDED, reached, LEARNED,
+                "", INTENDED, learned, LEARNED,
             ),
             below(
                 f"In the test it reaches {intended} less often than in training.",
@@ -319,7 +320,7 @@ def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None)
     goal = (*shift.proxies, shift.intended)[0]
     mine = far = apart.filter(policy=AGENTS, agent=name, seed=player.seed)
     if goal in game.walked:
-        way = pl.col(game.event_goals[goal])
+        way = reached(game.goals[goal])
         ways = apart.filter(policy=Walk(goal).name)
         far = farther if len(farther := ways.filter(way > way.median())) else ways
     common = mine["outcome"].value_counts(sort=True)
