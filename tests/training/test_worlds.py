@@ -123,6 +123,9 @@ def test_whole_numbers_are_scaled_by_their_bounds_and_parts_are_joined():
     both = spaces.Dict({"cell": spaces.Discrete(3), "way": spaces.Box(-1, 1, (1,), np.float32)})
     shown = {"cell": np.array([2, 0]), "way": np.array([[0.5], [-1]], np.float32)}
     assert as_seen(both, "symbolic", shown).tolist() == [[0, 0, 1, 0.5], [1, 0, 0, -1]]
+    image = spaces.Tuple([spaces.Box(0, 255, (1,), np.uint8), both])
+    seen = as_seen(image, "symbolic", (np.array([[51], [255]], np.uint8), shown))
+    assert np.allclose(seen, [[0.2, 0, 0, 1, 0.5], [1, 1, 0, 0, -1]])
 
 
 @pytest.mark.parametrize("huge", [np.inf, -1e300])

@@ -72,10 +72,20 @@ def as_seen(space: Space, observation: str, shown_here: Any) -> np.ndarray:
         array = array.reshape(len(array), *seen.shape).astype(seen.dtype)
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise ValueError(f"a network sees finite numbers of 32 bits; got others of {shown(space)}")
-    if observation == "image" or not isinstance(space, spaces.Box) or space.dtype.kind not in "iu":
+    if observation == "image":
         return array
-    low, high = (end.ravel().astype(np.float32) for end in (space.low, space.high))
+    low, high = _ends(space)
     return (array - low) / np.maximum(high - low, 1)
+
+
+def _ends(space: Space) -> np.ndarray:
+    """Return what becomes 0 and 1 in a vector, [2, D] float32: bounds of integers, or 0 and 1."""
+    if isinstance(space, spaces.Dict | spaces.Tuple):
+        parts = space.values() if isinstance(space, spaces.Dict) else space
+        return np.concatenate([_ends(part) for part in parts], 1)
+    if isinstance(space, spaces.Box) and space.dtype.kind in "iu":
+        return np.array([space.low.ravel(), space.high.ravel()], np.float32)
+    return np.array([[0], [1]], np.float32).repeat(spaces.flatdim(space), 1)
 
 
 class Restarting:
