@@ -213,6 +213,15 @@ def test_chance_takes_any_actions_and_none_depends_on_the_batch():
     assert one.equals(two) and one["walked"].n_unique() > 1
 
 
+@pytest.mark.parametrize("one", [[0.7, 1], ["1", "1"]])
+def test_actions_that_would_be_rounded_or_read_are_refused(one):
+    variant = WORLD.variant("end").with_knobs({"vector": True})
+    with pytest.raises(ValueError, match=r"must return 2 actions in room end, .*each of Multi"):
+        evaluate(Function(lambda seen: np.array([one] * len(seen))), WORLD, variant, range(2))
+    rounded = Function(lambda seen: np.full((len(seen), 2), 1.0))  # as SB3 has of a MultiBinary
+    assert evaluate(rounded, WORLD, variant, range(2))["reached_end"].null_count() == 0
+
+
 class Slippery(Room):
     """Draws every third action from its own space, which the level's number seeds."""
 

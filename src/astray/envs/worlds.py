@@ -187,9 +187,7 @@ class WorldVectorEnv:
         space, n = self.single_action_space, self.num_envs
         if isinstance(space, spaces.Discrete):
             choices("a policy", actions, n, space)
-        elif np.shape(actions)[:1] != (n,) or not all(
-            space.contains(np.asarray(one, space.dtype)) for one in actions
-        ):
+        elif np.shape(actions)[:1] != (n,) or not all(_is_in(space, one) for one in actions):
             raise ValueError(
                 f"a policy must return {n} actions in {self.variant}, each of {space}; got "
                 f"{shown(actions)}"
@@ -259,6 +257,12 @@ def _forked(makers: Sequence[Callable], variant: WorldVariant) -> AsyncVectorEnv
             signal.signal(number, handler)
         for number in waiting:
             signal.raise_signal(number)
+
+
+def _is_in(space: spaces.Space, action: Any) -> bool:
+    """Return whether an action is in a space, as it is: a cast would round it, or read text."""
+    cast = np.asarray(action, space.dtype)
+    return space.contains(cast) and (cast.dtype.kind == "f" or np.array_equal(cast, action))
 
 
 def _in_rows(space: spaces.Space, seen: Any) -> Any:
