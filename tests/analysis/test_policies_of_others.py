@@ -184,6 +184,13 @@ def test_an_actor_of_torchrl_plays_as_by_hand(recurrent, one_hot):
     assert played(policy, 3) == played(policy, 256) == hand
 
 
+def test_an_actor_of_torchrl_is_asked_in_evaluation_mode():
+    actor = actor_of_torchrl(False, False)
+    actor.module[0].module.append(nn.Dropout(0.5))
+    policy = from_torchrl(actor.train(), greedy=True)
+    assert played(policy, 3) == played(policy, 3)
+
+
 def test_a_network_plays_its_likeliest_action_or_draws_it_whatever_the_batch():
     agent = Model()
 

@@ -158,7 +158,8 @@ def from_torchrl(
 ) -> Function:
     """Make a policy of a TorchRL actor that reads "observation", "is_init" and writes "action".
 
-    The entries that it writes under "next", as recurrent modules do, are its memory.
+    The entries that it writes under "next", as recurrent modules do, are its memory. It is asked in
+    evaluation mode.
 
     Args:
         greedy: Take the most likely action instead of drawing one.
@@ -171,8 +172,9 @@ def from_torchrl(
 
         told = {"observation": seen, "is_init": begins[:, None], **(memory or {})}
         drawn = InteractionType.DETERMINISTIC if greedy else InteractionType.RANDOM
+        evaluating = actor.eval() if isinstance(actor, torch.nn.Module) else actor
         with torch.no_grad(), set_interaction_type(drawn):
-            said = actor(TensorDict(told, [len(begins)]))
+            said = evaluating(TensorDict(told, [len(begins)]))
         action = said["action"].argmax(-1) if one_hot else said["action"]
         return action.numpy(force=True), dict(said.get("next", {}).items()) or None
 
