@@ -62,6 +62,14 @@ def test_what_layers_give_is_captured(model):
     assert found.labels["square"].to_list() == square(states).tolist()
 
 
+def test_a_layer_is_captured_before_another_module_writes_to_it(model):
+    model.network.body.append(nn.ReLU(inplace=True))
+    _, states = visit(model, "anywhere", range(3))
+    found = capture(model, "anywhere", states, [HIDDEN, "body.3"]).values
+    assert found[HIDDEN].min() < 0
+    assert (np.maximum(found[HIDDEN], 0) == found["body.3"]).all()
+
+
 def test_steering_and_ablating_change_what_it_does_as_long_as_they_last(model):
     def rate():
         taken = [step.actions for step in steps(model, WORLD, "anywhere", LEVELS)]

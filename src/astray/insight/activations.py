@@ -137,7 +137,8 @@ def activations(
     """
     shapes = check_layers(agent, names)
     parts: dict[str, list[Any]] = {name: [] for name in shapes}  # of tensors
-    with hooked(agent, shapes, lambda name, x: parts[name].append(x)):
+    # A copy, as a later module, such as ReLU(inplace=True), may write to it.
+    with hooked(agent, shapes, lambda name, x: parts[name].append(x.clone())):
         if begins is None or not agent.caveat:
             agent.outputs(observations)  # in chunks of one size, the last one padded
         else:
