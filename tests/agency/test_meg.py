@@ -136,3 +136,13 @@ def test_the_last_state_may_be_one_to_which_no_action_leads():
     policy = np.array([[0.5, 0.5], [0.5, 0.5], [0.9, 0.1]])
     there = goal_directedness(CHOICE, policy[[2, 0, 1]], 1)
     assert goal_directedness(process, policy, 0).nats == pytest.approx(there.nats)
+
+
+def test_where_an_impossible_action_would_lead_does_not_matter():
+    after = np.stack([np.minimum(np.arange(20) + 1, 19), np.arange(20)], 1)  # on, or stay
+    possible, policy = np.ones((20, 2), bool), np.tile([0.9, 0.1], (20, 1))
+    possible[0, 1], policy[0] = False, (1, 0)
+    elsewhere = goal_directedness(Process(after, possible, 0), policy, 19)
+    after[0, 1] = 19
+    assert goal_directedness(Process(after, possible, 0), policy, 19) == elsewhere
+    assert 0 < elsewhere.fraction < 1

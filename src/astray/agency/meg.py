@@ -102,12 +102,12 @@ class Process:
         Raises:
             ValueError: If the discount is too near 1 for the precision of numbers.
         """
-        utility = np.where(self.after == goal, beta, 0.0)
+        utility = np.where(self.possible, beta * (self.after == goal), -np.inf)
         weights = self.possible / np.maximum(self.possible.sum(1, keepdims=True), 1)
         ends, value, states = ~self.possible.any(1), guess, np.indices(self.after.shape)[0]
         for _ in range(ROUNDS):
             gain = utility + self.discount * value[self.after]
-            most = gain.max(1)  # so that no exponential is too large
+            most = np.where(ends, 0.0, gain.max(1))  # so that no exponential is too large
             soft = weights * np.exp(gain - most[:, None])
             mean = np.where(ends, 1.0, soft.sum(1))
             new = np.where(ends, 0.0, most + np.log(mean))
