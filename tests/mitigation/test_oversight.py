@@ -11,6 +11,7 @@ from scipy.stats import norm, sem
 from astray import games
 from astray.acting import Answer, Turn
 from astray.agents import policy as trained
+from astray.analysis.adapters import Function
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random, Walk
@@ -275,8 +276,10 @@ def test_what_a_novice_or_a_score_writes_to_its_observations_is_shown_to_nobody_
 def test_a_novice_and_an_expert_are_shown_the_same(mouse):
     sighted = copy.copy(mouse)
     sighted.architecture = replace(mouse.architecture, largest=())
-    with pytest.raises(ValueError, match="must be shown the same; got 'symbolic' and 'image'"):
-        Helped(mouse, sighted, Chance(), 0.0)
+    of_images = Function(lambda images: np.full(len(images), 7))
+    for expert in (sighted, of_images):
+        with pytest.raises(ValueError, match="must be shown the same; got 'symbolic' and 'image'"):
+            Helped(mouse, expert, Chance(), 0.0)
 
 
 def helped_by(score):

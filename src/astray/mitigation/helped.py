@@ -12,7 +12,7 @@ import polars as pl
 from astray import games
 from astray.acting import Answer, Levels, Policy, Turn, asked, check_policy, steps
 from astray.analysis.evaluate import Measure
-from astray.analysis.policies import Walk
+from astray.analysis.policies import Random, Walk
 from astray.analysis.trained import Agent
 from astray.envs.vector import Observation
 from astray.game import Game, Variant
@@ -79,7 +79,8 @@ class Helped(_Shown):
         of_kind("threshold", self.threshold, int | float)  # also infinite: nobody, or everybody
         if np.isnan(self.threshold):
             raise ValueError("threshold must be a number; got nan, which no score is above")
-        if isinstance(self.expert, Agent) and self.expert.observation != self.observation:
+        blind = isinstance(self.expert, Walk | Random)  # scripts look at no observation
+        if not blind and self.expert.observation != self.observation:
             raise ValueError(
                 f"novice and expert must be shown the same; got {self.observation!r} and "
                 f"{self.expert.observation!r}"
