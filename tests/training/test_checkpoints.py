@@ -49,6 +49,17 @@ def files(folder):
     return {p.relative_to(folder): p.read_bytes() for p in paths if p.name != ".lock"}
 
 
+def test_a_run_whose_code_was_edited_meanwhile_is_told(run, caplog):
+    train(SHORT, run, progress=False)
+    assert not caplog.messages
+    path = run / "config.json"
+    told = json.loads(path.read_text("utf-8"))
+    told["versions"]["sources"] = "0" * 16
+    path.write_text(json.dumps(told), "utf-8")
+    train(SHORT, run, progress=False)
+    assert caplog.messages == [checkpoint.EDITED % run]
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_a_run_that_is_killed_at_any_moment_loses_nothing(tmp_path):
     kills = os.environ.get("ASTRAY_KILLS", "3")

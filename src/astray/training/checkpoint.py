@@ -7,6 +7,7 @@ checkpoints/<steps>/trainer.safetensors: all other state of the training.
 
 import contextlib
 import json
+import logging
 import os
 import platform
 from collections.abc import Iterator, Mapping
@@ -29,6 +30,9 @@ from astray.training.folders import AGENT, CONFIG, STEPS, TRAINER, latest, read_
 from astray.training.log import METRICS, read_metrics
 from astray.training.trainer import Trainer
 from astray.validation import brief
+
+LOG = logging.getLogger("astray")
+EDITED = "%s was begun with other code, of astray or your own; a new folder has this code alone"
 
 
 class Claimed(RuntimeError):
@@ -63,15 +67,18 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
             _check_folders(there, config)
             for name in (path.name, METRICS):  # a link would be replaced, or what it leads to
                 files.check_own(folder / name)
+            versions = {
+                "python": platform.python_version(), "torch": torch.__version__,
+                "numpy": np.__version__, "numba": numba.__version__,
+                "gymnasium": gymnasium.__version__,
+                "sources": provenance.digest(Trainer, config.code()),
+            }  # fmt: skip
             if path.exists():
                 check(folder, config)
+                before = json.loads(files.read(path)).get("versions")
+                if isinstance(before, dict) and before.get("sources") != versions["sources"]:
+                    LOG.warning(EDITED, folder)
             else:
-                versions = {
-                    "python": platform.python_version(), "torch": torch.__version__,
-                    "numpy": np.__version__, "numba": numba.__version__,
-                    "gymnasium": gymnasium.__version__,
-                    "sources": provenance.digest(Trainer, config.code()),
-                }  # fmt: skip
                 data = {"config": config.to_json(), "versions": versions}
                 found = _written(folder)
                 files.write_aside(path, json.dumps(data, indent=2).encode())
