@@ -168,6 +168,23 @@ def colours_first(shape, **knobs):
     return env
 
 
+class Words(spaces.Space):
+    """A space that Gymnasium does not know, as that of MiniGrid's missions."""
+
+    def contains(self, x):
+        return isinstance(x, str)
+
+
+SPOKEN = spaces.Dict(said=Words())
+
+
+def speaking(**knobs):
+    env = Room(**knobs)
+    env._seen = lambda: {"said": "go"}
+    env.observation_space = SPOKEN
+    return env
+
+
 def troubled(make):
     return replace(WORLD, name="troubled", variants=dict.fromkeys(WORLD.variants, make))
 
@@ -190,6 +207,7 @@ def troubled(make):
         ({"game": troubled(partial(colours_first, (3, 40, 36))), "observation": "image",
           "network": "impala"}, r"sees images \[H, W, C\] uint8; got .* of shape \(3, 40, 36\)"),
         ({"game": troubled(continuous)}, "actions must be Discrete or MultiDiscrete; got Box"),
+        ({"game": troubled(speaking)}, "of spaces that Gymnasium can flatten, .*; got Dict"),
         ({"game": troubled(partial(Room, trouble="draws"))}, "is another one when it is played"),
         ({"game": troubled(partial(Room, trouble="raises"))}, "its step fails: KeyError"),
         ({"game": troubled(partial(Room, trouble="nan"))},

@@ -37,10 +37,16 @@ def seen_space(space: Space, observation: str) -> spaces.Box:
     """Return the space of the observations that a network receives: see `as_seen`.
 
     Raises:
-        ValueError: If such observations are not images.
+        ValueError: If such observations are not images, or of a space that cannot be flattened.
     """
     if observation != "image":
-        return spaces.Box(-np.inf, np.inf, (spaces.flatdim(space),), np.float32)
+        try:
+            return spaces.Box(-np.inf, np.inf, (spaces.flatdim(space),), np.float32)
+        except NotImplementedError:  # of a space of somebody's, such as MiniGrid's missions
+            raise ValueError(
+                "observations must be of spaces that Gymnasium can flatten, as those that its "
+                f"FilterObservation leaves; got {shown(space)}"
+            ) from None
     if not isinstance(space, spaces.Box) or len(space.shape) < 2:
         raise ValueError(
             f"an image must be a Box of at least two axes; got {shown(space)}; observation "
