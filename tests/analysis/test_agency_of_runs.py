@@ -168,6 +168,25 @@ def test_episodes_of_a_world_that_tells_its_cells_are_measured():
         play(Walk("end"), rooms.WORLD, rooms.WORLD.variant("end"), [1], world.shifts["end"])
 
 
+def test_levels_that_share_their_arrays_are_measured_as_others():
+    def drawn(env, kept):
+        kept["free"][0] = np.arange(rooms.CELLS) >= 4 - env.square % 4
+        kept["square"][:] = env.square, 0
+        goals = {"square": kept["square"], "end": (rooms.CELLS - 1, 0)}
+        return Layout(kept["free"], (env.x, 0), goals)
+
+    def empty():
+        return {"free": np.ones((1, rooms.CELLS), bool), "square": np.zeros(2, int)}
+
+    told = []
+    for kept in (empty(), None):
+        world = replace(rooms.WORLD, cells=lambda env, kept=kept: drawn(env, kept or empty()))
+        variant = world.variant("anywhere")
+        found = play(Walk("end"), world, variant, range(12), world.shifts["end"])
+        told.append([(one.episode.world.free.tolist(), one.goals) for one in found])
+    assert told[0] == told[1] and len({str(free) for free, _ in told[0]}) > 1
+
+
 def test_episodes_that_never_end_are_measured_up_to_the_longest(monkeypatch):
     world = replace(rooms.ENDLESS, cells=layout)
     left = Function(rooms.go_left, "left")

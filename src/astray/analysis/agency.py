@@ -103,7 +103,9 @@ def _layouts(world: World, variant: WorldVariant, levels: Any) -> list[Layout]:
         free, agent, goals = world.cells(env.unwrapped)
         for goal in goals:
             one_of("goal of a layout", goal, world.goals)
-        found.append(Layout(np.asarray(free, bool), check_cell(agent), goals))
+        there = {goal: None if at is None else check_cell(at) for goal, at in goals.items()}
+        # A copy, as an environment may draw its next level into the same array.
+        found.append(Layout(np.array(free, bool), check_cell(agent), there))
     env.close()
     return found
 
