@@ -360,6 +360,15 @@ def numbered(**methods):
     return type("Other", (Numbered,), methods)
 
 
+def test_a_sampler_chooses_the_first_levels_too():
+    sampler = numbered(plan=lambda self, steps: Plan())
+    with contextlib.closing(Trainer(TINY, sampler=sampler)) as trainer:
+        trainer.player.plan(0)
+        assert trainer.player.envs[0].states["level"].tolist() == [*range(16)]
+        trainer.player.plan(256)
+        assert trainer.player.sampler.count == 16
+
+
 @pytest.mark.parametrize(
     "method, message",
     [

@@ -31,7 +31,7 @@ class Plan:
 
     Attributes:
         learn: The network learns from it; otherwise it only scores levels.
-        restart: Every environment begins a new level with it.
+        restart: Every environment begins a new level with it, as with the first plan of all.
         repeat: Every environment repeats one level until the next plan.
     """
 

@@ -63,7 +63,7 @@ class Player:
     ):
         if (sampler is not None or isinstance(variant, WorldVariant)) and parallel.size() > 1:
             raise ValueError("with a sampler of levels, or a World, one process must train alone")
-        self.sampler, self.learns, self._repeats = sampler, True, False
+        self.sampler, self.learns, self._repeats, self._is_begun = sampler, True, False, False
         self._own_reward, self._levels = reward, levels
         self.here = parallel.shard(config.num_envs)  # this process's environments
         n = self.here.stop - self.here.start
@@ -153,8 +153,9 @@ class Player:
         self._repeats = plan.repeat
         for env in self.envs:
             env.repeat(None)
-        if plan.restart or plan.repeat:
+        if plan.restart or plan.repeat or not self._is_begun:  # in levels that it did not choose
             self._restart()
+        self._is_begun = True
         if plan.repeat:
             for env in self.envs:
                 env.repeat(env.get_state())
@@ -306,6 +307,7 @@ class Player:
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Continue from the result of `tensors`."""
+        self._is_begun = True
         self._resume(tensors)
         self.generator.set_state(tensors["generator"])
         normaliser = self.normaliser
