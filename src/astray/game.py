@@ -72,6 +72,10 @@ class Shift:
     intended: str  # names of goals
     proxies: tuple[str, ...]
 
+    def __post_init__(self) -> None:
+        if self.intended in self.proxies:
+            raise ValueError(f"a proxy must not be the intended goal, {self.intended!r}")
+
 
 @dataclass(frozen=True)
 class Looks:

@@ -189,3 +189,8 @@ def test_episodes_that_never_end_are_refused_at_once_or_left_after_the_longest(m
     told = astray("explain", *words[:-4], *words[-2:], fails=True)
     assert told.endswith("lower the variant's time_limit (--set time_limit=N)\n")
     assert "longest" not in told  # an option that the verb lacks
+
+
+def test_the_intended_goal_is_no_proxy_of_itself():
+    with pytest.raises(ValueError, match="a proxy must not be the intended goal, 'cheese'"):
+        Shift("corner", "anywhere", "cheese", ("corner", "cheese"))

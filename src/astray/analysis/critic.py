@@ -102,8 +102,8 @@ def visit(
     rows = [row for heap in heaps for row in sorted(heap, key=lambda row: row[1])]
     *_, states, action, reward = (np.concatenate(column) for column in zip(*rows, strict=True))
     states = states.view(np.recarray)
-    for name in {"seed", "turn"} & {*(states.dtype.names or ())}:
-        states[name] = 0  # about later levels, which depend on the batch
+    for name in {"seed", "turn"} & {*(states.dtype.names or ())} if world is None else ():
+        states[name] = 0  # about later levels, which depend on the batch; of a World, a measure
     kept = [sorted(int(row[1][0]) for row in heap) for heap in heaps]  # steps
     if agent.caveat:
         value = np.concatenate([along[level][where] for level, where in enumerate(kept)])
