@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from operator import itemgetter
 from typing import Any, ClassVar, NamedTuple, cast
 
@@ -181,6 +182,7 @@ class World:
             factories take `stream`, the number of an environment, and nothing is compared level by
             level.
         every_step: Whether measures are computed in every step, not only at events and at the end.
+            For rewards of your own, visits and data sets they are.
 
     Raises:
         ValueError: If goals, shifts or experts name something that the world lacks.
@@ -256,6 +258,13 @@ class World:
         one_of("art", art, (OWN,), of=self.name)
 
     event_goals = Game.event_goals
+
+    @cached_property
+    def in_every_step(self) -> World:
+        """The world with measures in every step, as rewards and data sets read; one `reported`."""
+        made = replace(self, every_step=True)
+        object.__setattr__(made, "reported", self.reported)
+        return made
 
     @property
     def walked(self) -> tuple[str, ...]:

@@ -222,6 +222,16 @@ def test_actions_that_would_be_rounded_or_read_are_refused(one):
     assert evaluate(rounded, WORLD, variant, range(2))["reached_end"].null_count() == 0
 
 
+def test_rewards_and_data_sets_have_the_measures_of_each_step():
+    def later(step):
+        return (step.after["walked"] - step.before["walked"]) * step.after["time"]
+
+    table = evaluate(Random(), WORLD, "anywhere", LEVELS, rewards={"later": later})
+    assert (table["later"] == table["length"] * (table["length"] + 1) / 2).all()
+    for one in trajectories(Random(), WORLD, "anywhere", LEVELS):
+        assert one.states["walked"].tolist() == [*range(len(one) + 1)]
+
+
 class Slippery(Room):
     """Draws every third action from its own space, which the level's number seeds."""
 

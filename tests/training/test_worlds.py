@@ -136,6 +136,15 @@ def test_numbers_that_a_network_cannot_see_are_told(huge):
         as_seen(space, "symbolic", np.array([[1, 2], [3, huge]]))
 
 
+def strict(step):
+    assert (step.after["walked"] == step.after["time"]).all()
+    return step.rewards
+
+
+def test_a_reward_to_learn_from_is_told_the_measures_of_each_step():
+    assert next(iterate(SMALL, reward=strict)).metrics["training/length"] > 1
+
+
 class Flat(torch.nn.Module):
     """A network of somebody's for the arrays that a room shows."""
 

@@ -12,7 +12,6 @@ asked as at the beginning of one.
 
 import heapq
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 
@@ -79,7 +78,7 @@ def visit(
     rewards: list[list[float]] = [[] for _ in levels]
     shown: dict[int, list[np.ndarray]] = {}  # to an agent with memory; its values are `along` them
     along: dict[int, np.ndarray] = {}
-    world = replace(agent.game, every_step=True) if isinstance(agent.game, World) else None
+    world = agent.game.in_every_step if isinstance(agent.game, World) else None
     game = world or agent.game
     for step in steps(agent, game, variant, levels, batch=batch, longest=longest):
         before = world.shown(step.before, step.observations) if world else step.before

@@ -85,7 +85,8 @@ def trajectories(
         longest: Steps after which an episode is truncated; None for no limit.
     """
     parts: dict[int, list[tuple]] = {}
-    for step in steps(policy, game, variant, levels, batch=batch, longest=longest):
+    played = game.in_every_step if isinstance(game, World) else game
+    for step in steps(policy, played, variant, levels, batch=batch, longest=longest):
         of_numbers("what an environment shows in a data set", step.observations)
         count = sum(map(len, parts.values()))  # steps of episodes that go on
         if count % LOOKS < len(step.level):  # twice: an episode is put together in the end
@@ -99,8 +100,8 @@ def trajectories(
                 continue
             seen, before, actions, rewards = zip(*parts.pop(level), strict=True)
             states = np.array([*before, step.after[i]], step.before.dtype)
-            for name in {"seed", "turn"} & {*(states.dtype.names or ())}:
-                states[name] = 0  # belong to the batch
+            for name in {"seed", "turn"} & {*(states.dtype.names or ())} if played is game else ():
+                states[name] = 0  # belong to the batch; of a World, they are measures
             yield Trajectory(
                 int(states["level"][0]),
                 np.stack([*seen, step.seen[i]]),

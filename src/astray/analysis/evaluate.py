@@ -75,7 +75,8 @@ def evaluate(
     returns = np.zeros(count)
     own = {name: np.zeros(count) for name in rewards or {}}
     last = np.zeros(count if measured_by else 0, game.state)  # states
-    for step in steps(policy, game, variant, levels, batch=batch, until=until, longest=longest):
+    played = game.in_every_step if rewards and isinstance(game, World) else game
+    for step in steps(policy, played, variant, levels, batch=batch, until=until, longest=longest):
         returns[step.level] += step.rewards
         for name, totals in own.items():
             totals[step.level] += paid(rewards[name], step)  # pyright: ignore

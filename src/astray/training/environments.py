@@ -16,6 +16,7 @@ def environments(config: Config, variant: Any, n: int, levels: range) -> Any:
     """Return `n` environments of a variant, of a game or a `World`, that draw from `levels`."""
     if isinstance(variant, WorldVariant):
         game: Any = config.find_game()
+        game = game.in_every_step if config.reward else game
         return Restarting(game, variant, n, levels, config.observation)
     return GameVectorEnv(
         config.game,
