@@ -128,6 +128,15 @@ def test_whole_numbers_are_scaled_by_their_bounds_and_parts_are_joined():
     assert np.allclose(seen, [[0.2, 0, 0, 1, 0.5], [1, 1, 0, 0, -1]])
 
 
+@pytest.mark.parametrize("kind", [np.int32, np.int64])
+@pytest.mark.parametrize("low, high", [(-np.inf, np.inf), (0, np.inf), (-np.inf, 9)])
+def test_whole_numbers_without_bounds_differ_in_a_vector(low, high, kind):
+    space = spaces.Box(low, high, (2,), kind)
+    assert as_seen(space, "symbolic", np.array([[0, 5]], kind)).tolist() == [[0, 5]]
+    far = spaces.Box(10**9, 10**9 + 8, (2,), kind)
+    assert as_seen(far, "symbolic", far.low[None] + [[2, 4]]).tolist() == [[0.25, 0.5]]
+
+
 @pytest.mark.parametrize("huge", [np.inf, -1e300])
 def test_numbers_that_a_network_cannot_see_are_told(huge):
     space = spaces.Box(-np.inf, np.inf, (2,), np.float64)

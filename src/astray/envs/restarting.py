@@ -61,7 +61,7 @@ def as_seen(space: Space, observation: str, shown_here: Any) -> np.ndarray:
 
     Args:
         observation: "image" leaves their axes: uint8, or float32. "symbolic" makes vectors [N, D]
-            float32 of them, with integers scaled by their bounds to 0 to 1.
+            float32 of them, with integers scaled by their bounds, if they have any, to 0 to 1.
 
     Raises:
         ValueError: If a number is not finite in 32 bits.
@@ -74,24 +74,30 @@ def as_seen(space: Space, observation: str, shown_here: Any) -> np.ndarray:
         each: Any = iterate(batch_space(space, n), shown_here)
         vectors: Any = [spaces.flatten(space, one) for one in each]
         array = np.stack(vectors)
+    array = array.reshape(len(array), *seen.shape)
+    if observation != "image" and (not isinstance(space, spaces.Box) or space.dtype.kind in "iu"):
+        low, high = _ends(space)
+        array = (array - low) / np.maximum(high - low, 1)
     with np.errstate(over="ignore"):  # which is told
-        array = array.reshape(len(array), *seen.shape).astype(seen.dtype)
+        array = array.astype(seen.dtype)
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise ValueError(f"a network sees finite numbers of 32 bits; got others of {shown(space)}")
-    if observation == "image":
-        return array
-    low, high = _ends(space)
-    return (array - low) / np.maximum(high - low, 1)
+    return array
 
 
 def _ends(space: Space) -> np.ndarray:
-    """Return what becomes 0 and 1 in a vector, [2, D] float32: bounds of integers, or 0 and 1."""
+    """Return what becomes 0 and 1 in a vector, [2, D]: bounds of integers, or 0 and 1."""
     if isinstance(space, spaces.Dict | spaces.Tuple):
         parts = space.values() if isinstance(space, spaces.Dict) else space
         return np.concatenate([_ends(part) for part in parts], 1)
+    ends = np.array([[0.0], [1.0]]).repeat(spaces.flatdim(space), 1)
     if isinstance(space, spaces.Box) and space.dtype.kind in "iu":
-        return np.array([space.low.ravel(), space.high.ravel()], np.float32)
-    return np.array([[0], [1]], np.float32).repeat(spaces.flatdim(space), 1)
+        least, most = (limits := np.iinfo(space.dtype)).min, limits.max
+        low, high = np.array([space.low.ravel(), space.high.ravel()], np.float64)
+        # By limits of 32 bits, as of infinite bounds, all numbers would become the same.
+        bounded = (limits.bits < 32) | ((high < most) & ((low > least) | (least == 0)))
+        ends = np.where(bounded, (low, high), ends)
+    return ends
 
 
 class Restarting:
