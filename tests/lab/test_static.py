@@ -449,6 +449,36 @@ def test_before_its_first_level_a_page_is_clicked_in_vain(chrome, static):
     page.context.close()
 
 
+def test_what_a_lost_network_kept_away_is_shown_once_it_is_back(chrome, static):
+    """Files of levels, of agents and of drawings; they are fetched when they are first needed."""
+    with opened(chrome, static) as (page, told):
+
+        def choose(part, name):
+            page.select_option(f"[data-lab={part}]", name)
+            wait(page, "lab.level.game === lab.game || lab.part('problem').textContent")
+
+        choose("agent", "many-chests")  # so that the rules are here, which browsers keep themselves
+        choose("agent", "maze-corner")
+        page.evaluate("lab.engine.files.clear(); lab.engine.loading.clear(); delete lab.pictures.keys")
+        page.context.set_offline(True)
+        choose("agent", "many-chests")
+        wait(page, "lab.part('problem').textContent.includes('Failed to fetch')")
+        page.context.set_offline(False)
+        choose("agent", "maze-corner")
+        choose("agent", "many-chests")
+        wait(page, "lab.level.game === 'keys' && lab.fields.size && lab.part('problem').hidden")
+        assert page.evaluate("lab.pictures.keys.images.size") > 0
+        assert all("ERR_INTERNET_DISCONNECTED" in line for line in told)
+
+
+def test_drawings_that_cannot_be_had_are_told(chrome, static):
+    page = chrome.new_page()
+    page.route("**/art/*", lambda route: route.abort())
+    page.goto(static)
+    wait(page, "globalThis.lab?.fields.size && lab.part('problem').textContent === 'Failed to fetch'")
+    page.context.close()
+
+
 def test_what_covering_parts_does_is_what_captum_says(page):
     pytest.importorskip("captum", reason="captum is not installed")
     here, there = both(page, kind="attribution", **MAZE, level=3, method="occlusion")

@@ -134,8 +134,9 @@ export class Lab {
   async #opened(level, wrong) {
     const mine = (this.opening = Symbol("level"));
     if (this.level?.game !== this.game) this.#clear();
+    let artless = "";
     const told = await this.tried(async () => {
-      await this.#art(this.game);
+      artless = await this.#art(this.game);
       return this.opening === mine && this.engine.ask(this.question("level", { level: exact(level) }));
     });
     if (this.opening !== mine || told === null) return false; // a newer one was asked for
@@ -143,7 +144,7 @@ export class Lab {
       const said = this.part("problem").textContent;
       return wrong !== null && level !== 0 && this.#opened(0, `${wrong} ${said}`.trim());
     }
-    this.#take({ ...told, problem: [wrong, told.problem].filter(Boolean).join(" ") });
+    this.#take({ ...told, problem: [wrong, artless, told.problem].filter(Boolean).join(" ") });
     this.original = { level: told.level, number: told.number };
     Object.assign(this, { past: [], future: [] });
     this.panels.level();
@@ -155,10 +156,13 @@ export class Lab {
     for (const drawn of [this.fields, this.others, this.splay]) drawn.clear();
   }
 
+  // Get the drawings of a game; return why there are none, if they cannot be had now.
   async #art(game) {
-    if (this.pictures[game]) return;
-    const found = await this.tried(() => this.engine.ask({ kind: "art", slot: game, game }));
-    if (found !== null) this.pictures[game] = new Pictures(found?.pictures ?? {}, () => this.stage.redraw());
+    if (this.pictures[game]?.images.size) return "";
+    const question = { kind: "art", slot: game, game };
+    const found = await this.engine.ask(question).catch(({ message }) => ({ pictures: {}, message }));
+    if (found) this.pictures[game] = new Pictures(found.pictures, () => this.stage.redraw());
+    return found?.message ?? "";
   }
 
   #take({ level, number, text, problem, state }) {

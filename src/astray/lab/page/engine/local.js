@@ -43,14 +43,11 @@ export class LocalEngine {
   }
 
   async file(path, kind = "json") {
-    if (!this.files.has(path)) {
-      this.files.set(path, (async () => {
-        const response = await fetch(new URL(path, this.folder));
-        if (!response.ok) throw new Error(`${path} is not there`);
-        return kind === "json" ? response.json() : response.arrayBuffer();
-      })());
-    }
-    return this.files.get(path);
+    return kept(this.files, path, async () => {
+      const response = await fetch(new URL(path, this.folder));
+      if (!response.ok) throw new Error(`${path} is not there`);
+      return kind === "json" ? response.json() : response.arrayBuffer();
+    });
   }
 
   async *hello() {
@@ -116,12 +113,9 @@ export class LocalEngine {
     const about = this.about.agents[agent];
     if (!about) throw new Error(`unknown agent '${agent}'`);
     if (about.game !== game) throw new Error(`the agent '${agent}' plays ${about.game}, not ${game}`);
-    if (!this.loading.has(agent)) {
-      this.loading.set(agent, about.table
-        ? readTable((path, kind) => this.file(path, kind), about.table)
-        : this.file(`data/agents/${agent}.safetensors`, "bytes").then(small));
-    }
-    const policyAndValue = await this.loading.get(agent);
+    const policyAndValue = await kept(this.loading, agent, async () => (about.table
+      ? readTable((path, kind) => this.file(path, kind), about.table)
+      : small(await this.file(`data/agents/${agent}.safetensors`, "bytes"))));
     const drawn = about.seed + seed;
     const act = (s, rules) => {
       const { policy } = policyAndValue(s, rules);
@@ -266,6 +260,14 @@ export class LocalEngine {
   async *route() {
     throw new Error("the best way needs Python: astray lab");
   }
+}
+
+// What `made` promises, once for each name; what failed, as without a network, is made again.
+function kept(promises, name, made) {
+  if (!promises.has(name)) {
+    promises.set(name, made().catch((error) => { promises.delete(name); throw error; }));
+  }
+  return promises.get(name);
 }
 
 const rest = () => new Promise((resolve) => { setTimeout(resolve, 0); });
