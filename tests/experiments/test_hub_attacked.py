@@ -155,6 +155,13 @@ def test_a_refusal_is_one_line_without_the_advice_of_the_library(hub, wrong, giv
     assert len(str(told.value).splitlines()) == 1 and "information" not in str(told.value)
 
 
+@pytest.mark.parametrize("said", [{}, [], None, {"url": 3}])
+def test_a_push_to_what_is_no_hub_says_so(hub, monkeypatch, said):
+    monkeypatch.setattr("helpers.hub_server.Handler.create", lambda self, _: self.answer(200, said))
+    with pytest.raises(ValueError, match=r"^ada/new cannot be pushed: no Hub answers so"):
+        ours.push(folders.find("maze-corner"), "ada/new")
+
+
 def test_a_hub_that_sends_a_byte_now_and_then_is_not_waited_for(hub, tmp_path, monkeypatch):
     monkeypatch.setattr(download, "WAIT", 0.5)
     hub.drips = 1, 0.01

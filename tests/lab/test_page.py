@@ -468,6 +468,15 @@ def test_what_is_taken_along_can_be_read(page, format, tmp_path):
         assert len(image.convert("RGB").getcolors(2**20)) > 20  # it is not blank
 
 
+def test_a_gif_of_a_part_of_an_episode_says_so(page):
+    show(page, ROOM)
+    page.evaluate("lab.episode.states = Array(302).fill(lab.episode.states[0])")
+    page.get_by_text("Take it along").click()
+    with page.expect_download():
+        page.locator("[data-lab=gif]").click()
+    wait(page, "lab.part('status').textContent === 'The GIF has the first 300 of 302 states.'")
+
+
 def test_a_server_that_ends_is_told_and_one_that_comes_back_goes_on(chrome):
     port, lab = free_port(), make_lab("maze-corner", {})
     with lab_served(lab, port) as address:

@@ -142,7 +142,7 @@ def http() -> Any:
 
 @contextlib.contextmanager
 def reached(repository: str, revision: str | None, what: str, lacking: str) -> Iterator[None]:
-    """Translate failures to push or pull into FileNotFoundError, PermissionError or OSError."""
+    """Translate failures to FileNotFoundError, PermissionError, OSError or ValueError."""
     from huggingface_hub import errors
 
     of = f"{repository} at {revision}" if revision else repository
@@ -177,6 +177,8 @@ def reached(repository: str, revision: str | None, what: str, lacking: str) -> I
             f"{of} cannot be {what}: the connection failed ({brief(error)}); the same command "
             "goes on with what has arrived"
         ) from error
+    except (LookupError, TypeError, AttributeError) as error:  # of the library, which trusts it
+        raise ValueError(f"{of} cannot be {what}: no Hub answers so: {error!r}") from error
     except (OSError, ValueError) as error:
         said = brief(error).partition("\n")[0]  # then the library's advice
         kind = ValueError if isinstance(error, ValueError) else OSError

@@ -220,11 +220,7 @@ def attribution(session: Session, message: Message) -> Iterator[Reply]:
     from astray.insight import attribution as methods
 
     agent, observations = _seen(session, message)
-    method: Callable[..., np.ndarray] = {
-        "occlusion": methods.occlusion,
-        "gradients": methods.gradients,
-        "integrated gradients": methods.integrated_gradients,
-    }[message.method]
+    method: Callable[..., np.ndarray] = getattr(methods, message.method.replace(" ", "_"))
     yield {"map": rounded(method(agent, observations)[0])}
 
 

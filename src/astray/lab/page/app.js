@@ -159,8 +159,7 @@ export class Lab {
   // Get the drawings of a game; return why there are none, if they cannot be had now.
   async #art(game) {
     if (this.pictures[game]?.images.size) return "";
-    const question = { kind: "art", slot: game, game };
-    const found = await this.engine.ask(question).catch(({ message }) => ({ pictures: {}, message }));
+    const found = await this.engine.ask({ kind: "art", slot: game, game }).catch(({ message }) => ({ pictures: {}, message }));
     if (found) this.pictures[game] = new Pictures(found.pictures, () => this.stage.redraw());
     return found?.message ?? "";
   }
@@ -298,9 +297,7 @@ export class Lab {
     } else if (what === "change") {
       question.steering = this.steering;
     } else {
-      this.others.clear();
-      this.panels.compared();
-      return;
+      question.agent = ""; // there are no arrows, then
     }
     await this.#arrows(this.others, "other", question);
     this.panels.compared();

@@ -24,12 +24,14 @@ export const save = {
     const canvas = document.createElement("canvas");
     [canvas.width, canvas.height] = [columns * scale, rows * scale];
     const paint = canvas.getContext("2d", { willReadFrequently: true });
-    const frames = lab.episode.states.slice(0, MOST_FRAMES).map((state) => {
+    const { states } = lab.episode;
+    const frames = states.slice(0, MOST_FRAMES).map((state) => {
       paint.setTransform(1, 0, 0, 1, -left * scale, low * scale);
       lab.stage.paintWorld(paint, scale, rows, state);
       return paint.getImageData(0, 0, canvas.width, canvas.height);
     });
     offer(new Blob([writeGif(frames, 8)], { type: "image/gif" }), `${nameOf(lab)}.gif`);
+    if (states.length > MOST_FRAMES) lab.panels.status(`The GIF has the first ${MOST_FRAMES} of ${states.length} states.`);
   },
 
   json(lab) {

@@ -8,8 +8,7 @@ export function writeGif(frames, hundredths) {
   const palette = paletteOf(frames);
   const out = [..."GIF89a"].map((char) => char.charCodeAt(0));
   const short = (n) => out.push(n & 255, (n >> 8) & 255);
-  short(width);
-  short(height);
+  [width, height].forEach(short);
   out.push(0xf7, 0, 0);
   for (let k = 0; k < COLOURS; k++) out.push(...(palette[k] ?? [0, 0, 0]));
   out.push(0x21, 0xff, 11, ...[..."NETSCAPE2.0"].map((char) => char.charCodeAt(0)), 3, 1, 0, 0, 0);
@@ -18,8 +17,7 @@ export function writeGif(frames, hundredths) {
     out.push(0x21, 0xf9, 4, 0);
     short(hundredths);
     out.push(0, 0, 0x2c, 0, 0, 0, 0);
-    short(width);
-    short(height);
+    [width, height].forEach(short);
     out.push(0, 8);
     const packed = compress(indices(frame.data, palette, nearest));
     for (let at = 0; at < packed.length; at += 255) {

@@ -51,8 +51,7 @@ export class LocalEngine {
   }
 
   async *hello() {
-    this.about = await this.file("data/index.json");
-    yield this.about;
+    yield (this.about = await this.file("data/index.json"));
   }
 
   async *art({ game }) {
@@ -262,7 +261,7 @@ export class LocalEngine {
   }
 }
 
-// What `made` promises, once for each name; what failed, as without a network, is made again.
+// Keeps the promise of `made` by its name, but not one that failed, as without a network.
 function kept(promises, name, made) {
   if (!promises.has(name)) {
     promises.set(name, made().catch((error) => { promises.delete(name); throw error; }));
