@@ -42,7 +42,7 @@ class _Lent:
                 return
             self.standard = [(module, {**vars(module)}) for module in (builtins, json, os)]
             self.own, self.path, self.output = (sys.stdout, sys.stderr), [*sys.path], 0
-            self.folder = ""
+            self.depth, self.folder = sys.getrecursionlimit(), ""
             with contextlib.suppress(OSError):  # it was removed
                 self.folder = os.getcwd()
             if sys.__stderr__ and sys.stdout is sys.__stdout__:  # a program may read the output
@@ -57,6 +57,7 @@ class _Lent:
         with self.lock:
             self.inside -= 1
             if not self.inside:
+                sys.setrecursionlimit(max(self.depth, sys.getrecursionlimit()))
                 for module, own in self.standard:
                     vars(module).update(own)
                 if self.output:

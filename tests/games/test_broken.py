@@ -175,6 +175,22 @@ def test_games_that_replace_functions_of_python_take_nothing_else_down(tmp_path,
     assert all("must be a Game" in found[name]["error"] for name in spoils), done.stderr
 
 
+def test_a_game_that_allows_few_calls_in_each_other_hides_no_other(tmp_path, monkeypatch):
+    before = sys.getrecursionlimit()
+    try:
+        few = "import sys\nsys.setrecursionlimit({})\nGAME = 3"
+        offer(tmp_path, monkeypatch, few=few.format(before // 2), many=few.format(2 * before))
+        games.survey(lambda game: 0)
+        assert sys.getrecursionlimit() == 2 * before  # which a game may need
+        with pytest.raises(ValueError), imports.guarded("few"):
+            sys.setrecursionlimit(before)
+            raise ValueError
+        assert sys.getrecursionlimit() == 2 * before
+    finally:
+        sys.setrecursionlimit(before)
+        games._offered.cache_clear()
+
+
 @pytest.mark.parametrize("ruin", ["sys.path.clear()", "sys.path[:] = ['here']", "sys.path = None"])
 def test_a_game_that_loses_the_path_of_modules_hides_no_game_after_it(tmp_path, monkeypatch, ruin):
     monkeypatch.setattr(sys, "path", [*sys.path])

@@ -263,9 +263,7 @@ export class LocalEngine {
 
 // Keeps the promise of `made` by its name, but not one that failed, as without a network.
 function kept(promises, name, made) {
-  if (!promises.has(name)) {
-    promises.set(name, made().catch((error) => { promises.delete(name); throw error; }));
-  }
+  if (!promises.has(name)) promises.set(name, made().catch((error) => { promises.delete(name); throw error; }));
   return promises.get(name);
 }
 
