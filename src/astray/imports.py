@@ -43,6 +43,7 @@ class _Lent:
             self.standard = [(module, {**vars(module)}) for module in (builtins, json, os)]
             self.own, self.path, self.output = (sys.stdout, sys.stderr), [*sys.path], 0
             self.depth, self.folder = sys.getrecursionlimit(), ""
+            self.dtype = getattr(sys.modules.get("torch"), "get_default_dtype", lambda: None)()
             with contextlib.suppress(OSError):  # it was removed
                 self.folder = os.getcwd()
             if sys.__stderr__ and sys.stdout is sys.__stdout__:  # a program may read the output
@@ -58,6 +59,8 @@ class _Lent:
             self.inside -= 1
             if not self.inside:
                 sys.setrecursionlimit(max(self.depth, sys.getrecursionlimit()))
+                with contextlib.suppress(KeyError, AttributeError):  # no torch, or not yet all
+                    (torch := sys.modules["torch"]).set_default_dtype(self.dtype or torch.float32)
                 for module, own in self.standard:
                     vars(module).update(own)
                 if self.output:

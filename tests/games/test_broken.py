@@ -191,6 +191,19 @@ def test_a_game_that_allows_few_calls_in_each_other_hides_no_other(tmp_path, mon
         games._offered.cache_clear()
 
 
+def test_a_game_that_sets_torch_s_usual_numbers_breaks_no_agent(tmp_path, monkeypatch):
+    import torch
+
+    offer(tmp_path, monkeypatch, wide="import torch\ntorch.set_default_dtype(torch.float64)")
+    try:
+        games.survey(lambda game: 0)
+        assert torch.get_default_dtype() == torch.float32
+        assert make_lab("maze-corner", {}).agents.about("maze-corner")["game"] == "maze"
+    finally:
+        torch.set_default_dtype(torch.float32)
+        games._offered.cache_clear()
+
+
 @pytest.mark.parametrize("ruin", ["sys.path.clear()", "sys.path[:] = ['here']", "sys.path = None"])
 def test_a_game_that_loses_the_path_of_modules_hides_no_game_after_it(tmp_path, monkeypatch, ruin):
     monkeypatch.setattr(sys, "path", [*sys.path])

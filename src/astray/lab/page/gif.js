@@ -22,13 +22,11 @@ export function writeGif(frames, hundredths) {
     const packed = compress(indices(frame.data, palette, nearest));
     for (let at = 0; at < packed.length; at += 255) {
       const part = packed.slice(at, at + 255);
-      out.push(part.length);
-      for (const byte of part) out.push(byte);
+      out.push(part.length, ...part);
     }
     out.push(0);
   }
-  out.push(0x3b);
-  return Uint8Array.from(out);
+  return Uint8Array.from([...out, 0x3b]);
 }
 
 const rough = (data, at) => ((data[at] >> 3) << 10) | ((data[at + 1] >> 3) << 5) | (data[at + 2] >> 3);
