@@ -11,7 +11,7 @@ import numpy as np
 
 from astray import protocols
 from astray.imports import guarded
-from astray.outcome import check_ends
+from astray.outcome import COLUMNS, check_ends
 from astray.record import check_states
 from astray.validation import check_words, finite, of_kind, one_of, shown
 from astray.variant import Variant as Variant
@@ -61,6 +61,9 @@ Outcome = str | Never | More | Truncated
 @dataclass(frozen=True)
 class Shift:
     """A training and a test variant, and the goals that come apart between them.
+
+    Raises:
+        ValueError: If the intended goal is one of the proxies.
 
     Examples:
         >>> astray.Shift("corner", "anywhere", intended="cheese", proxies=("corner",)).test
@@ -138,6 +141,9 @@ def check_goals(rules: Any) -> None:
     Events and measures are columns of one table, and differ in name; so do goals and ends.
     """
     check_ends(rules.ends)
+    if taken := {*COLUMNS} & {*rules.events, *rules.measures}:
+        named = ", ".join(sorted(taken))
+        raise ValueError(f"events or measures of {rules.name} have the names of columns: {named}")
     if both := {*rules.events} & {*rules.measures}:  # columns of one table
         raise ValueError(f"measures must have other names than events; got {', '.join(both)}")
     if both := [end for end, one in rules.ends.items() if rules.goals.get(end, one) != one]:

@@ -1,4 +1,4 @@
-"""Names of the outcomes that an episode of any game can have.
+"""Names of the outcomes that an episode of any game can have, and of what its table has besides.
 
 `analysis.outcomes` assigns them to episodes, and `figures` draws them in their colours.
 """
@@ -9,6 +9,9 @@ INTENDED = "intended goal"  # reached no later than any proxy
 MISGENERALIZED = "goal misgeneralization"  # a proxy came first
 FAILED = "capability failure"  # no goal, and no other end of the game
 OUTCOMES = (INTENDED, MISGENERALIZED, FAILED)
+# Columns of a table of episodes beside a game's events and measures.
+COLUMNS = ("policy", "level", "name", "shifted", "return", "length", "terminated")
+COLUMNS += ("run", "seed", "checkpoint", "variant", "outcome", "distinguishing", "agent", "test")
 
 
 def check_ends(ends: Iterable[str]) -> None:

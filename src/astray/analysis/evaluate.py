@@ -13,12 +13,11 @@ from astray.envs.steps import paid
 from astray.envs.worlds import Unreported, unreported
 from astray.game import Game, Variant
 from astray.imports import guarded
+from astray.outcome import COLUMNS
 from astray.record import count_levels
 from astray.validation import of_kind, shown
 from astray.world import World, WorldVariant
 
-COLUMNS = ("policy", "level", "name", "shifted", "return", "length", "terminated")
-COLUMNS += ("run", "seed", "checkpoint", "variant", "outcome", "distinguishing", "agent", "test")
 Measure = Callable[[np.ndarray], np.ndarray]  # states [N] -> numbers [N]
 
 
@@ -62,9 +61,6 @@ def evaluate(
         Unreported: If an event of a `World` names a key of info that no step reported.
     """
     game = world.find(game)
-    if taken := {*COLUMNS} & {*game.events, *game.measures}:
-        named = ", ".join(sorted(taken))
-        raise ValueError(f"events or measures of {game.name} have the names of columns: {named}")
     check_measures(measures, (*COLUMNS, *game.events, *game.measures))
     others = (*COLUMNS, *game.events, *game.measures, *(measures or {}))
     check_measures(rewards, others, "rewards")

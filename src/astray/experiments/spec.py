@@ -16,12 +16,13 @@ import polars as pl
 from astray import imports, world
 from astray.acting import Policy, Reward
 from astray.analysis.estimates import detectable
-from astray.analysis.evaluate import COLUMNS, Measure, check_measures
+from astray.analysis.evaluate import Measure, check_measures
 from astray.analysis.outcomes import load_shift, name_of
 from astray.analysis.policies import scripts_of
 from astray.analysis.tables import read_table, write_table
 from astray.files import check_own
 from astray.game import OWN, Game, Variant
+from astray.outcome import COLUMNS
 from astray.record import LEVELS
 from astray.report.findings import Findings
 from astray.report.page import COMPUTED
