@@ -136,6 +136,7 @@ def _prepare(code: Path, base: Path) -> None:
         "MPLCONFIGDIR": str(code.parent / "mpl"),
         "PYTHONPATH": os.pathsep.join(filter(None, map(os.path.abspath, sys.path))),
     }
+    sys.dont_write_bytecode = True  # here, too: an experiment's cache is no change that it made
     os.chdir(base)
     import matplotlib.pyplot
     import torch
