@@ -138,7 +138,8 @@ def check_names(rules: Any, *more: str) -> None:
 def check_goals(rules: Any) -> None:
     """Raise ValueError if a goal, an end or a shift of a game or World names what it lacks.
 
-    Events and measures are columns of one table, and differ in name; so do goals and ends.
+    Events and measures are columns of one table: they differ in name from each other and from its
+    other columns. Goals and ends differ in name, too.
     """
     check_ends(rules.ends)
     if taken := {*COLUMNS} & {*rules.events, *rules.measures}:

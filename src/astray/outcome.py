@@ -1,4 +1,4 @@
-"""Names of the outcomes that an episode of any game can have, and of what its table has besides.
+"""Names of the outcomes that an episode of any game can have, and of columns of every table.
 
 `analysis.outcomes` assigns them to episodes, and `figures` draws them in their colours.
 """
