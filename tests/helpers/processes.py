@@ -11,12 +11,11 @@ from multiprocessing import forkserver
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-# What takes most programs three to four seconds of a core to import; nothing of astray. The last is
-# what torch's optimisers import when the first of them is made.
+# What takes most programs three seconds of a core to import; nothing of astray.
 LIBRARIES = (
     "av", "gymnasium", "jinja2", "matplotlib.pyplot", "numba", "PIL.Image", "polars",
     "rich.progress", "safetensors.torch", "scipy.stats", "sklearn.linear_model",
-    "stable_baselines3", "torch", "torch._dynamo",
+    "stable_baselines3", "torch",
 )  # fmt: skip
 
 

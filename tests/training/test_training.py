@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from safetensors.numpy import load_file
 
 from astray import games
 from astray.agents.policy import usable
-from astray.training import checkpoint
+from astray.training import checkpoint, trainer
 from astray.training.config import PRESETS
 from astray.training.log import Log
 from astray.training.loop import iterate, train
@@ -81,6 +82,18 @@ def test_progress_is_told_in_lines_where_nobody_sees_a_bar(tmp_path, monkeypatch
     lines = [line for line in told.err.splitlines() if line.startswith("maze corner-small seed 0:")]
     assert [line.split()[4] for line in lines] == ["256", "512", "768", "1,024"]
     assert not told.out and told.err.count("\n") == len(lines)
+
+
+def test_a_training_learns_as_by_torchs_optimizer_without_loading_its_compiler(
+    tmp_path, monkeypatch
+):
+    with monkeypatch.context() as plain:
+        plain.setattr(trainer, "Adam", torch.optim.Adam)
+        train(TINY, tmp_path / "plain", progress=False)
+    monkeypatch.setitem(sys.modules, "torch._dynamo", None)  # an import of it fails
+    train_to_first_checkpoint(TINY, tmp_path / "run", monkeypatch)
+    train(TINY, tmp_path / "run", progress=False)
+    assert digest(tmp_path / "run") == digest(tmp_path / "plain")
 
 
 def test_validation_never_touches_learning(tmp_path):

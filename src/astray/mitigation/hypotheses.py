@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from astray.training.trainer import Adam
 from astray.validation import MOST, bounded, one_of
 
 HIDDEN = 64
@@ -85,7 +86,7 @@ def train_heads(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         heads = Heads(int(np.prod(labelled.seen.shape[1:])), 2)
-    optimizer = torch.optim.Adam(heads.parameters(), lr=RATE)
+    optimizer = Adam(heads.parameters(), lr=RATE)
     seen, truth = torch.from_numpy(labelled.seen), torch.from_numpy(labelled.labels[label]).float()
     others, rate = torch.from_numpy(unlabelled), float(labelled.labels[label].mean())
     for _ in range(steps):

@@ -1,5 +1,6 @@
 """The state of a training, which a checkpoint must hold."""
 
+import inspect
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,6 +34,19 @@ from astray.world import World
 PER_WEIGHT = 16  # bytes: float32 weight, gradient, and Adam's two moments
 PER_SAMPLE = 28  # bytes beside the observation: an int64 and five float32
 MOMENTS = ("exp_avg", "exp_avg_sq")  # Adam's, for each weight
+
+
+class Adam(torch.optim.Adam):
+    """Adam whose methods do not load torch's compiler, which takes a second of a training's start.
+
+    They load it so that it leaves them out where a whole update is compiled, which nothing does here.
+    """
+
+    add_param_group = inspect.unwrap(torch.optim.Adam.add_param_group)
+    state_dict = inspect.unwrap(torch.optim.Adam.state_dict)
+    load_state_dict = inspect.unwrap(torch.optim.Adam.load_state_dict)
+    zero_grad = inspect.unwrap(torch.optim.Adam.zero_grad)
+    step = torch.no_grad()(inspect.unwrap(torch.optim.Adam.step))
 
 
 class Trainer:
@@ -122,7 +136,7 @@ class Trainer:
             self.teacher = Teacher(teacher, config, self.actor, self.actor.rollout)
         self._captured: dict[bool, Captured] = {}  # whether of lessons -> learning
         graphs, rate = self.fast.using.cudagraphs, config.learning_rate
-        self.optimizer = torch.optim.Adam(
+        self.optimizer = Adam(
             self.weights,
             torch.tensor(rate, device=config.device) if graphs else rate,  # graphs read it
             eps=1e-5,
