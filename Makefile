@@ -117,7 +117,7 @@ sbom:
 # Run the notebooks at their full size, and save them with their outputs.
 notebooks: $(INSTALLED)
 	ASTRAY_NOTEBOOKS=full ASTRAY_NOTEBOOKS_OUT=$(CURDIR)/examples/notebooks \
-		$(BIN)/python -m pytest -n 0 tests/examples/test_notebooks.py -k runs --durations=0
+		$(BIN)/python -m pytest -n 0 tests/examples/test_notebooks.py -k runs -m thorough --durations=0
 
 # Without compiling all of Python's files, which is nearly half of installing: few are imported.
 $(INSTALLED): pyproject.toml constraints.txt

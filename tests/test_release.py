@@ -13,6 +13,7 @@ from packaging.specifiers import SpecifierSet
 
 import astray
 from astray import games, imports
+from helpers.thorough import thorough
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -180,10 +181,12 @@ def test_the_command_says_which_extra_it_needs():
     "library, words",
     [
         ("polars", "evaluate maze-corner"),
-        ("torch", "evaluate maze-corner"),
-        ("torch", "train maze corner-small"),
-        ("av", "record maze-corner"),
-        ("matplotlib", "compare maze-corner random"),
+        *thorough(
+            ("torch", "evaluate maze-corner"),
+            ("torch", "train maze corner-small"),
+            ("av", "record maze-corner"),
+            ("matplotlib", "compare maze-corner random"),
+        ),
     ],
 )
 def test_a_verb_says_which_extra_a_single_missing_library_is_of(library, words, tmp_path):

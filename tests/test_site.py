@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from helpers.browsed import folder_served, violations, wait
+from helpers.thorough import thorough
 
 ROOT = Path(__file__).parents[1]
 # A page with a figure; one with a wide table, and one with an empty header.
@@ -74,7 +75,11 @@ def test_the_page_for_what_is_not_there_leads_back(site):
 
 @pytest.mark.parametrize(
     "page, width",
-    [("index", 1400), ("published", 1400), ("insight", 420), ("404", 420), ("api/index", 1400)],
+    [
+        ("index", 1400),
+        ("insight", 420),
+        *thorough(("published", 1400), ("404", 420), ("api/index", 1400)),
+    ],
 )
 def test_axe_finds_nothing_on_a_page_of_the_site(page, width, site, chrome):
     context = chrome.new_context(viewport={"width": width, "height": 900})

@@ -8,6 +8,7 @@ from scipy.special import expit
 from scipy.stats import binom
 
 from astray.analysis.estimates import estimate_difference, estimate_mean
+from helpers.thorough import thorough
 
 LEVELS, TIMES = 150, 800
 SMALL, LARGE, HUGE = 0.05, 0.65, 1.5  # standard deviations between agents, in logits; at 60 % the
@@ -41,7 +42,7 @@ def covered(agents, middle, spread, hard, shared, **options):
     return np.mean([one.low <= true <= one.high for one, true in zip(found, truth, strict=True)])
 
 
-@pytest.mark.parametrize("agents", [1, 2, 3, 5, 8, 10])
+@pytest.mark.parametrize("agents", [1, 2, 5, *thorough(3, 8, 10)])
 def test_intervals_hold_the_truth_as_often_as_they_say(agents):
     for middle, spread, shared in itertools.product((HALF, NEARLY_ALL), (SMALL, LARGE), (1, 0)):
         held = covered(agents, middle, spread, HARD if shared else 0.0, shared)
@@ -126,7 +127,7 @@ def test_of_one_agent_few_episodes_cover_rates_in_the_middle_and_less_often_near
     assert round(ends.min(), 2) == 0.83
 
 
-@pytest.mark.parametrize("agents", [2, 3, 5, 8])
+@pytest.mark.parametrize("agents", [2, 5, *thorough(3, 8)])
 def test_differences_of_kinds_hold_the_truth_as_often_as_they_say(agents):
     for middle, spread, pooled in itertools.product((HALF, 2.5), (SMALL, LARGE), (False, True)):
         random = np.random.default_rng([agents, int(10 * middle), int(100 * spread)])

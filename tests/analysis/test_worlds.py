@@ -38,6 +38,7 @@ from astray.envs.worlds import WorldVectorEnv, check_repeats
 from astray.game import More, Never
 from helpers.processes import environment
 from helpers.rooms import CELLS, WORLD, Room
+from helpers.thorough import thorough
 
 LEVELS = np.array([3, 1, 4, 15, 9, 2, 6, 53, 58, 97])
 RIGHT = Function(lambda seen: np.ones(len(seen), int), "right")
@@ -629,7 +630,10 @@ def test_an_interrupt_while_actions_are_sent_is_no_error(monkeypatch):
     assert not multiprocessing.active_children()
 
 
-@pytest.mark.parametrize("how", multiprocessing.get_all_start_methods())
+DEFAULT, *OTHERS = multiprocessing.get_all_start_methods()
+
+
+@pytest.mark.parametrize("how", [DEFAULT, *thorough(*OTHERS)])
 def test_processes_of_environments_begin_in_any_way(how):
     """They fork on Linux alone, until Python 3.14, and unless torchrl is imported."""
     multiprocessing.set_start_method(how, force=True)
@@ -671,7 +675,7 @@ if __name__ in ({names!r}):
     print(env.reset(options={{"level": np.arange(4)}})[0], flush=True)
     env.close()
 """
-FRESH = [one for one in multiprocessing.get_all_start_methods() if one != "fork"]
+FRESH = [one for one in (DEFAULT, *OTHERS) if one != "fork"]
 
 
 def begun(folder, how, *names):
@@ -692,7 +696,7 @@ def test_a_server_of_forks_imports_a_world_once_for_all_its_processes(tmp_path):
     assert sorted(done.stdout.split("\n")) == ["", "[0 0 0 0]", "imported", "imported"], done.stderr
 
 
-@pytest.mark.parametrize("how", FRESH)
+@pytest.mark.parametrize("how", [FRESH[-1], *thorough(*FRESH[:-1])])
 def test_a_script_that_begins_processes_where_it_is_imported_is_told(tmp_path, how):
     done = begun(tmp_path, how, "__main__", "__mp_main__")
     assert "died, as of a script without `if __name__ == '__main__':`" in done.stderr

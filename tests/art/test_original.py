@@ -60,6 +60,7 @@ for name in ("coinrun", "maze_memory", "keys_many_keys"):
 """
 
 
+@pytest.mark.thorough  # `test_contract` interprets a few steps of each shape
 def test_interpreted_code_draws_the_same():
     environment(DRAWN["coinrun"])
     said = [

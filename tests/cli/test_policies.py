@@ -17,6 +17,7 @@ from astray.insight import explain as page
 from astray.insight.fields import fields
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
+from helpers.thorough import thorough
 
 MAZE = games.find("maze")
 ANYWHERE = MAZE.variants["anywhere-small"]
@@ -48,8 +49,8 @@ def test_agency_takes_any_policy(astray, policy, said):
 @pytest.mark.parametrize(
     "policy, said",
     [
-        ("walk:cheese", "walk to cheese pursues the intended goal, cheese, in 100.0"),
         ("walk:corner", "walk to corner misgeneralizes: it pursues corner, not cheese, in 100.0"),
+        *thorough(("walk:cheese", "walk to cheese pursues the intended goal, cheese, in 100.0")),
         ("random", "random pursues no goal in most levels"),
     ],
 )

@@ -13,6 +13,7 @@ from astray.experiments import run as experiment_run
 from astray.training import checkpoint
 from astray.training.loop import train
 from helpers.hub_server import WRITER, running
+from helpers.thorough import thorough
 from helpers.trainings import TINY
 
 LEVELS = ("--levels", "1000000:1000008")
@@ -102,8 +103,8 @@ def swept(astray, agent, out):
 
 
 VERBS = (
-    evaluated, recorded, assessed, explained, exported_lab, exported_data, kept, pushed, compared,
-    audited, distilled, swept,
+    evaluated, recorded, assessed, exported_lab, exported_data, compared, audited,
+    *thorough(explained, kept, pushed, distilled, swept),
 )  # fmt: skip
 
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from helpers.processes import environment
+from helpers.thorough import thorough
 
 LEVEL = ("level", "maze", "corner-small", "--levels")
 # Without coverage, which only tests have, and which numba imports: it needs a working folder.
 RUN = "import sys; sys.modules['coverage'] = None; from astray.cli import main; main()"
-THOROUGH = pytest.mark.thorough
 BROKEN = pytest.mark.skipif(
     sys.version_info[:3] == (3, 13, 0),
     reason="Python 3.13.0 imports no NumPy in a folder that is gone",
@@ -55,7 +55,7 @@ def test_a_variable_that_numba_cannot_read_is_told_without_a_traceback():
 
 
 @POSIX
-@pytest.mark.parametrize("words", [(*LEVEL, "0:2000"), pytest.param(("list",), marks=THOROUGH)])
+@pytest.mark.parametrize("words", [(*LEVEL, "0:2000"), *thorough((("list",),))])
 def test_who_is_read_no_further_stops_quietly(words):
     process = begin(*words, shell='"$@"; exit $?')
     process.stdout.close()
@@ -69,9 +69,11 @@ def test_who_is_read_no_further_stops_quietly(words):
 @pytest.mark.parametrize(
     "words, shell, code, said",
     [
-        pytest.param((*LEVEL, "7"), 'exec "$@" >&-', 0, "", marks=THOROUGH),
         ((*LEVEL, "7"), 'exec "$@" >&- 2>&- <&-', 0, ""),
-        pytest.param(("level", "mase", "corner"), 'exec "$@" >&- 2>&-', 2, "", marks=THOROUGH),
+        *thorough(
+            ((*LEVEL, "7"), 'exec "$@" >&-', 0, ""),
+            (("level", "mase", "corner"), 'exec "$@" >&- 2>&-', 2, ""),
+        ),
         (("replay", "maze", "corner", "--level", "1", "--actions", "-"), 'exec "$@" <&-', 2,
          "astray: standard input is closed; there is nothing to read\n"),
         pytest.param(

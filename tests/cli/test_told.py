@@ -12,6 +12,7 @@ from astray import cli
 from astray.cli import LONGEST, shortened
 from astray.training.config import Config
 from astray.validation import printable
+from helpers.thorough import thorough
 
 
 def test_control_characters_are_shown_and_not_obeyed():
@@ -78,9 +79,7 @@ def test_a_mistake_is_told_in_a_few_lines():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="streams are closed otherwise")
-@pytest.mark.parametrize(
-    "words, code", [("--help", 0), pytest.param("nope", 2, marks=pytest.mark.thorough)]
-)
+@pytest.mark.parametrize("words, code", [("--help", 0), *thorough(("nope", 2))])
 def test_help_that_nobody_can_read_is_no_mistake(words, code):
     command = f"{sys.executable} -m astray {words} >&-"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
@@ -110,7 +109,11 @@ def test_the_list_has_the_others_where_one_agent_is_none(
 
 @pytest.mark.parametrize(
     "name, value",
-    [("NUM_THREADS", "0"), ("NUM_THREADS", "-1"), ("NUM_THREADS", "x"), ("COLOR_SCHEME", "pink")],
+    [
+        ("NUM_THREADS", "0"),
+        ("COLOR_SCHEME", "pink"),
+        *thorough(("NUM_THREADS", "-1"), ("NUM_THREADS", "x")),
+    ],
 )
 def test_a_variable_that_numba_does_not_take_is_left_out(name, value):
     code = f"import os, astray; print(os.environ.get('NUMBA_{name}'))"

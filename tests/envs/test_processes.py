@@ -147,6 +147,7 @@ def wait_for(true, seconds=5.0):
     return true()
 
 
+@pytest.mark.thorough  # `test_an_environment_is_deleted_in_mid_episode`
 def test_thousands_of_environments_leave_nothing_behind():
     resource = pytest.importorskip("resource")
 

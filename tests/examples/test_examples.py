@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from helpers.processes import begin
+from helpers.thorough import thorough
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "open-room"
 
@@ -39,6 +40,7 @@ if __name__ == "__main__":  # which a training's process does not do again
 """
 
 
+@pytest.mark.thorough  # `test_verbs_know_it` trains an agent in it
 def test_its_own_tests_pass(beside, tmp_path):
     words = ("-q", "-p", "no:cacheprovider", str(EXAMPLE / "tests"))
     run(PYTEST, tmp_path, *words, env=beside)
@@ -114,8 +116,7 @@ def test_the_page_on_worlds_runs_as_it_stands_with_fewer_steps(tmp_path):
     ("page", "count", "written"),
     [
         ("first-mouse", 3, "outcomes.png"),
-        ("first-world", 4, "robots.png"),
-        ("first-look-inside", 4, "cheese.png"),
+        *thorough(("first-world", 4, "robots.png"), ("first-look-inside", 4, "cheese.png")),
     ],
 )
 def test_a_tutorial_runs_as_it_stands_with_fewer_steps(page, count, written, tmp_path):

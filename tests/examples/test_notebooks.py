@@ -17,8 +17,6 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 SIZE = os.environ.get("ASTRAY_NOTEBOOKS", "small")
 # In small, `test_steer` runs all cells of the one that steers.
 RUN = [path for path in NOTEBOOKS if SIZE == "full" or path.stem != "steer"]
-# `test_examples` has games of one's own, too, and the tests of pottery what its robots do.
-ALWAYS = "find-the-goal"
 LONGEST = 300  # seconds of a cell of full size, on two cores
 LIVE = "application/vnd.jupyter.widget-view+json"  # an output that needs a running kernel
 INSTALL = "install"  # the id of the cell that installs astray
@@ -74,16 +72,8 @@ def test_a_notebook_is_saved_with_the_outputs_of_its_code(path):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.parametrize(
-    "path",
-    [
-        pytest.param(
-            path, marks=pytest.mark.thorough if SIZE == "small" and path.stem != ALWAYS else ()
-        )
-        for path in RUN
-    ],
-    ids=lambda path: path.stem,
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("path", RUN, ids=lambda path: path.stem)
 def test_a_notebook_runs_to_its_end(path, tmp_path, monkeypatch):
     client = pytest.importorskip("nbclient")
     settings = {"ASTRAY_NOTEBOOKS": SIZE, "IPYTHONDIR": str(tmp_path), "JUPYTER_PLATFORM_DIRS": "1"}

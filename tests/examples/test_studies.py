@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+import pytest
 
 import astray
 from astray.analysis.critic import visit
@@ -19,6 +20,7 @@ STUDIES = Path(__file__).parents[2] / "examples" / "studies"
 PLANS = STUDIES / "maze_plans.py"
 
 
+@pytest.mark.thorough  # `test_maps_of_plans_are_read_at_the_goals`
 def test_the_study_of_plans_in_mazes_runs_in_miniature(tmp_path, monkeypatch):
     monkeypatch.setattr(videos, "RECORDED", 2)
     _, whole = catalogue.find(str(PLANS))

@@ -26,13 +26,8 @@ def loaded(name):
     return module
 
 
-@pytest.mark.parametrize(
-    "name, steps",
-    [
-        ("minigrid_corner", 10_000),
-        pytest.param("minigrid_door", 15_000, marks=pytest.mark.thorough),
-    ],
-)
+@pytest.mark.thorough  # `test_the_page_on_worlds_runs_as_it_stands_with_fewer_steps`
+@pytest.mark.parametrize("name, steps", [("minigrid_corner", 10_000), ("minigrid_door", 15_000)])
 def test_an_agent_of_stable_baselines3_pursues_the_proxy_in_minigrid(
     name, steps, tmp_path, monkeypatch
 ):

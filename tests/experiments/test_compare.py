@@ -22,6 +22,7 @@ from astray.figures import charts
 from astray.report.findings import Plot
 from astray.training import folders
 from helpers.rooms import WORLD, go_right
+from helpers.thorough import thorough
 
 AGENT = "maze-corner"
 
@@ -162,7 +163,9 @@ def test_returns_of_trainings_are_drawn(monkeypatch, tmp_path):
     assert drawn == {"mouse": [folder]}
 
 
-@pytest.mark.parametrize("lines", ["", '{"steps": 9, "training/return": 1.5}\n', '{"steps": 9}\n'])
+@pytest.mark.parametrize(
+    "lines", ['{"steps": 9, "training/return": 1.5}\n', *thorough("", '{"steps": 9}\n')]
+)
 def test_trainings_without_returns_are_compared_without_curves(
     lines, astray, tmp_path, monkeypatch
 ):

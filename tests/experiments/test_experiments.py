@@ -35,6 +35,7 @@ from helpers import registered
 from helpers.edits import edit
 from helpers.miniature import miniature, train_here
 from helpers.processes import begin
+from helpers.thorough import thorough
 from helpers.trainings import TINY
 
 PATIENCE = 300  # seconds that a process is waited for; machines may be busy
@@ -66,13 +67,20 @@ TRAINED.append(("inherited-goals", "pixels"))
 # computes has tests on made-up tables.
 LIKE_ANOTHER = {
     ("asking-for-help", "smoke"): "`test_oversight` plays and compares its curves",
+    ("attribution", "smoke"): "critic-value",
+    ("coin-diversity", "smoke"): "maze-corner",
+    ("colour-or-shape", "smoke"): "maze-corner",
     ("early-or-late", "smoke"): "minimax-regret",
     ("inherited-goals", "smoke"): "its other size",
     ("maze-region", "smoke"): "maze-corner",
+    ("minimax-regret", "smoke"): "maze-corner, but for the levels of its training",
     ("minimax-regret-dish", "smoke"): "minimax-regret, but for the levels",
+    ("moved-coin", "smoke"): "critic-value",
     ("permeable-wall", "smoke"): "critic-value",
     ("pixel-networks", "pixels"): "inherited-goals",
     ("pooled-places", "pixels"): "inherited-goals",
+    ("reward-ensembles", "smoke"): "maze-corner; `test_hypotheses` trains such heads",
+    ("training-curves", "smoke"): "maze-corner",
 }
 TRAINED = [
     pytest.param(*one, marks=pytest.mark.thorough if one in LIKE_ANOTHER else ()) for one in TRAINED
@@ -271,7 +279,9 @@ def test_tables_are_computed_anew_after_an_edit_of_code_that_plays_or_measures(
     assert (digest_of_tables("maze-corner") != before) == changed
 
 
-@pytest.mark.parametrize("name", catalogue.NAMES)
+@pytest.mark.parametrize(
+    "name", ["maze-corner", *thorough(*(one for one in catalogue.NAMES if one != "maze-corner"))]
+)
 def test_a_caption_changes_the_tables_of_its_own_study_alone(name, monkeypatch):
     before = digest_of_tables(name)
     itself = catalogue.MODULES[name]
@@ -371,6 +381,7 @@ train(TINY, pathlib.Path(sys.argv[1]), progress=False, wait=True)
 """
 
 
+@pytest.mark.thorough  # `test_a_training_that_another_process_does_is_waited_for`
 def test_two_that_reproduce_the_same_at_once_both_come_to_its_end(reports, tmp_path):
     both = [begin(REPRODUCE, tmp_path, reports) for _ in range(2)]
     codes, _, said = zip(*(one.ended() for one in both), strict=True)
@@ -399,8 +410,10 @@ LINES = "agents/*/seed-*/metrics.jsonl"
     "first, sent, code, told",
     [
         # `test_streams` interrupts a training.
-        pytest.param("agents", signal.SIGINT, 130, "interrupted", marks=pytest.mark.thorough),
-        pytest.param(LINES, signal.SIGINT, 130, "interrupted", marks=pytest.mark.thorough),
+        *thorough(
+            ("agents", signal.SIGINT, 130, "interrupted"),
+            (LINES, signal.SIGINT, 130, "interrupted"),
+        ),
         # As timeout, systemd and Slurm do: it ends the trainings before they are told to end.
         (LINES, signal.SIGTERM, 143, "terminated"),
     ],

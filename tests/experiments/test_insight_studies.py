@@ -13,11 +13,13 @@ from astray.experiments.studies.insight._plans import of_levels
 from astray.insight.retarget import AS_IS, MOVED
 from astray.report.claims import Claim, above, below, within
 from helpers import registered
+from helpers.thorough import thorough
 
 LEVELS = {"cheese-vector": 12, "retargeting": 34, "decodable": 24, "choice": 1500}
 
 
-@pytest.mark.parametrize("name", LEVELS)
+# The others fit probes and predictions, which `tests/insight` does, too.
+@pytest.mark.parametrize("name", ["cheese-vector", "retargeting", *thorough("decodable", "choice")])
 def test_studies_of_kept_agents_run_in_miniature(name, tmp_path, monkeypatch):
     # The first layer has thirty times as many numbers as the others, and needs as much longer.
     monkeypatch.setitem(decodable.LAYERS, "smoke", decodable.LAYERS["smoke"][1:])

@@ -11,7 +11,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.level import AGENT, Level
 from astray.level_files import read_levels
 from astray.record import NEVER
-from helpers.cases import FEW
+from helpers.cases import FEW, SHAPES_FIRST
 
 
 def begun(game, variant, numbers):
@@ -152,7 +152,7 @@ def free(level):
     return [other.agent for other in level.splay("agent") if other.agent != level.agent]
 
 
-@pytest.mark.parametrize("game, variant", FEW)
+@pytest.mark.parametrize("game, variant", SHAPES_FIRST)
 def test_a_level_is_splayed_over_all_places_of_an_object(game, variant):
     level = one(game, variant)
     agents = level.splay("agent")

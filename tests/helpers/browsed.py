@@ -12,11 +12,15 @@ from pathlib import Path
 
 import pytest
 
+from helpers.thorough import thorough
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 PATIENCE = 120  # seconds until a page shows what is waited for; machines may be busy
 LOADED, ARROWS = "globalThis.lab?.ready", "lab.fields.size > 0"
 ROOM = "#######\n#....G#\n#.###.#\n#.#...#\n#.#.#.#\n#@....#\n#######"
 TOKEN = "a-token-that-nobody-guesses"
+# To open a page: with Python, and without, as most of its tests do.
+WAYS = ["served", *thorough("static")]
 # Plays actions in a level by the rules of a page, and tells its states.
 PLAY = """async ([path, level, variant, actions]) => {
   const { rules } = await import(new URL(path, location.href));

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from astray import games, grid
 from astray.game import Variant
+from helpers.thorough import thorough
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 ALL = [(game, variant) for game in games.OWN for variant in games.find(game).variants]
@@ -55,3 +56,5 @@ def shape(game: str, variant: str) -> tuple[object, ...]:
 
 # Every shape, for tests that are slow and do not depend on what is in a level.
 SHAPES = list({shape(*case): case for case in reversed(FEW)}.values())[::-1]
+# For tests that are slow and differ little from one variant of a shape to another.
+SHAPES_FIRST = [*SHAPES, *thorough(*(case for case in FEW if case not in SHAPES))]

@@ -14,6 +14,7 @@ from astray.analysis.trained import Agent
 from astray.games.coinrun import edits
 from astray.insight import attribution
 from astray.level import Level
+from helpers.thorough import thorough
 
 COINRUN, MAZE = games.find("coinrun"), games.find("maze")
 END = COINRUN.variants["coin-end"]
@@ -121,7 +122,7 @@ def test_gradients_of_images_are_small_differences_in_brightness(images):
         assert of_map[y, x] == pytest.approx(np.mean(per_colour), rel=1e-3, abs=1e-6)
 
 
-@pytest.mark.parametrize("kind", ["planes", "categories", "images"])
+@pytest.mark.parametrize("kind", ["planes", "categories", *thorough("images")])
 def test_integrated_gradients_add_up(kind, request):
     agent = request.getfixturevalue(kind)
     shown = shown_to(agent)

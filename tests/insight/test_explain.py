@@ -254,6 +254,7 @@ def test_one_strong_pixel_does_not_leave_the_others_blank(monkeypatch):
     assert drawn[1].limits == (-0.01, 0.01)
 
 
+@pytest.mark.thorough  # `test_a_policy_is_explained_as_far_as_it_can_be`
 def test_what_a_game_does_not_have_is_told_in_its_place(astray, tmp_path):
     (tmp_path / "level.txt").write_text(RUN)
     astray(

@@ -112,6 +112,7 @@ print(never(), sum(never.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.thorough  # the next test changes a value that a module reads
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_compiled_code_is_new_after_an_edit_of_a_constant_that_it_imports(tmp_path):
     package, program = tmp_path / "astray", tmp_path / "program.py"

@@ -5,9 +5,11 @@ import zlib
 
 import pytest
 
+from helpers.thorough import thorough
+
 pytest.importorskip("starlette", reason="starlette is not installed")
 
-from helpers.browsed import LOADED, load_anew, opened, violations, wait
+from helpers.browsed import LOADED, WAYS, load_anew, opened, violations, wait
 
 LONG = '{"grid": [[0]], "agent": [0, 0], "looks": "%s"}' % (400_000 * "x")
 WIDTHS = {"laptop": (1280, 800), "tablet": (820, 1100), "phone": (390, 780)}
@@ -69,7 +71,7 @@ FOLLOWED = "(hash) => { location.hash = hash; }"
 SHOWN = "[lab.game, lab.variant, lab.number, lab.level.grid.length, location.hash.slice(1)]"
 
 
-@pytest.mark.parametrize("way", ["served", "static"])
+@pytest.mark.parametrize("way", WAYS)
 def test_a_link_whose_level_cannot_be_opened_shows_another_of_its_game(chrome, request, way):
     with opened(chrome, request.getfixturevalue(way)) as (page, told):
         grid = packed('{"grid": [[0, 0], [0, 99]], "agent": [0.5, 0.5], "looks": {}}')
@@ -108,6 +110,7 @@ def test_links_that_come_before_others_are_answered_do_not_mix(chrome, served):
         assert page.evaluate("lab.pictures.maze.images.has('cheese')")
 
 
+@pytest.mark.thorough  # `test_links_that_come_before_others_are_answered_do_not_mix`
 def test_a_link_that_comes_while_the_first_is_opened_is_followed(chrome, served):
     context = chrome.new_context()
     page = context.new_page()
@@ -152,7 +155,7 @@ def test_a_page_without_python_does_not_say_that_it_compiles(chrome, static):
     [
         *((width, "light") for width in WIDTHS),
         ("laptop", "dark"),
-        *(pytest.param(width, "dark", marks=pytest.mark.thorough) for width in ("tablet", "phone")),
+        *thorough(("tablet", "dark"), ("phone", "dark")),
     ],
 )
 def test_nothing_is_wider_than_the_page(window, served, width, theme):
@@ -170,8 +173,10 @@ def test_nothing_is_wider_than_the_page(window, served, width, theme):
 @pytest.mark.parametrize(
     "way, words, theme",
     [
-        ("served", "", "light"), ("served", "", "dark"), ("static", "?embedded=small", "dark"),
-        pytest.param("static", "", "light", marks=pytest.mark.thorough),  # the page that is served
+        ("served", "", "light"),
+        *thorough(
+            ("served", "", "dark"), ("static", "?embedded=small", "dark"), ("static", "", "light")
+        ),
     ],
 )  # fmt: skip
 def test_the_lab_is_accessible(chrome, request, way, words, theme):

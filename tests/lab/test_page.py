@@ -9,6 +9,8 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 
+from helpers.thorough import thorough
+
 pytest.importorskip("starlette", reason="starlette is not installed")
 
 from astray import games
@@ -18,7 +20,7 @@ from astray.analysis.runs import load_agent
 from astray.insight.fields import fields
 from astray.lab.serving import make_lab
 from astray.level import Level
-from helpers.browsed import ROOM, free_port, lab_served, load_anew, opened, wait
+from helpers.browsed import ROOM, WAYS, free_port, lab_served, load_anew, opened, wait
 
 
 @pytest.fixture
@@ -70,7 +72,7 @@ def expected(grid, agent):
     return field
 
 
-@pytest.mark.parametrize("way", ["served", "static"])
+@pytest.mark.parametrize("way", WAYS)
 def test_the_cheese_is_dragged_and_the_arrows_are_python_s(chrome, request, way):
     address = request.getfixturevalue(way)
     with opened(chrome, address) as (page, told):
@@ -198,7 +200,7 @@ def test_the_object_of_the_goal_leads_and_panels_of_agents_need_one(chrome, serv
 
 @pytest.mark.parametrize(
     "game, variant, thing",
-    [("keys", "many-keys-small", "key"), ("tomatoes", "bucket", "dry tomato")],
+    [("keys", "many-keys-small", "key"), *thorough(("tomatoes", "bucket", "dry tomato"))],
 )
 def test_of_several_objects_any_is_to_be_dragged(chrome, served, game, variant, thing):
     link = f"#game={game}&variant={variant}&level=3&agent="
@@ -309,7 +311,7 @@ def test_a_way_is_drawn_below_the_agent(page):
     page.evaluate(look, None)
 
 
-@pytest.mark.parametrize("height", [900, 1000])
+@pytest.mark.parametrize("height", [900, *thorough(1000)])
 def test_panels_are_in_two_columns_beside_the_board_of_a_wide_window(chrome, static, height):
     with opened(chrome, static, viewport={"width": 1400, "height": height}) as (page, _):
         lefts = (
@@ -367,7 +369,7 @@ def test_a_link_that_is_packed_late_takes_the_place_of_none_that_is_newer(chrome
         assert not told
 
 
-@pytest.mark.parametrize("way", ["served", "static"])
+@pytest.mark.parametrize("way", WAYS)
 def test_two_policies_are_compared_by_what_their_actions_do(chrome, request, way):
     with opened(chrome, request.getfixturevalue(way)) as (page, told):
         show(page, ROOM)
@@ -426,7 +428,7 @@ def test_text_is_read_and_what_is_wrong_with_it_is_told(page):
     assert "unknown '?'" in page.locator("[data-lab=problem]").text_content()
 
 
-@pytest.mark.parametrize("way", ["served", "static"])
+@pytest.mark.parametrize("way", WAYS)
 def test_numbers_of_a_level_that_a_browser_rounds_are_refused(chrome, request, way):
     said = "a level's whole numbers must be below 2 ** 53 here, as browsers round larger ones; got "
     game = games.find("maze")
@@ -446,7 +448,7 @@ def test_numbers_of_a_level_that_a_browser_rounds_are_refused(chrome, request, w
         assert page.locator("[data-lab=problem]").is_hidden() and not told
 
 
-@pytest.mark.parametrize("format", ["png", "gif", "json"])
+@pytest.mark.parametrize("format", ["png", "json", *thorough("gif")])
 def test_what_is_taken_along_can_be_read(page, format, tmp_path):
     from PIL import Image
 

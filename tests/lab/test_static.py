@@ -27,6 +27,7 @@ from astray.level import Level
 from astray.training.ppo import RewardNormaliser, advantages
 from helpers import moor
 from helpers.browsed import PLAY, folder_served, knobs, opened, wait
+from helpers.thorough import thorough
 
 WHOLE = "JSON.stringify(told, (_, x) => (typeof x === 'bigint' ? JSON.rawJSON(`${x}`) : x))"
 MOOR = {"game": "moor", "agent": ""}
@@ -138,7 +139,11 @@ DRAWN = """\
 
 
 @pytest.mark.parametrize(
-    "drawn", [DRAWN, DRAWN.replace("%", "."), DRAWN.replace(".@", "@."), DRAWN.replace(".%", "o%")]
+    "drawn",
+    [
+        DRAWN,
+        *thorough(DRAWN.replace("%", "."), DRAWN.replace(".@", "@."), DRAWN.replace(".%", "o%")),
+    ],
 )
 def test_a_drawn_level_of_coinrun_begins_and_ends_where_it_does_in_python(page, drawn):
     words = {"kind": "level", "game": "coinrun", "variant": "coin-end"}
@@ -302,6 +307,7 @@ def test_an_agent_that_stands_on_an_object_is_asked_everywhere_as_in_python(
         assert (at in map(tuple, here["cells"])) == (moved == "agent")
 
 
+@pytest.mark.thorough  # `test_constants` looks at others
 def test_a_page_has_the_constants_that_python_has_now(chrome, untrained, tmp_path, monkeypatch):
     monkeypatch.setattr(goals, "TOGETHER", 5)
     architecture = Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15, width=8)
@@ -506,8 +512,8 @@ CYAN = """([x, y]) => {
 @pytest.mark.parametrize(
     "kind, thing",
     [
-        ("dish-small", "goal on other"), ("dish-apart-small", "goal"),
-        pytest.param("dish-small", "agent", marks=pytest.mark.thorough),
+        ("dish-small", "goal on other"),
+        *thorough(("dish-apart-small", "goal"), ("dish-small", "agent")),
     ],
 )  # fmt: skip
 def test_who_sees_dishes_does_as_in_python(chrome, untrained, tmp_path, kind, thing):
@@ -589,11 +595,7 @@ def test_levels_of_an_agent_are_in_no_file_of_another_variants(untrained, tmp_pa
     assert [len(level["text"].splitlines()) for level in levels] == [25, 7]
 
 
-ANOTHER = pytest.mark.thorough  # file of the same folder
-NAMES = [pytest.param("thief", marks=ANOTHER), "grid", pytest.param("kernels", marks=ANOTHER)]
-
-
-@pytest.mark.parametrize("name", [*NAMES, "maze-kernels"])
+@pytest.mark.parametrize("name", ["grid", *thorough("thief", "kernels", "maze-kernels")])
 def test_a_guest_with_the_name_of_a_file_of_the_page_takes_its_place_nowhere(
     chrome, name, monkeypatch, tmp_path
 ):
@@ -636,8 +638,12 @@ def test_replay_and_the_page_agree_on_an_episode(page):
 
 @pytest.mark.parametrize(
     "game, variant, agent",
-    [("maze", "anywhere-small", "maze-corner"), ("coinrun", "coin-anywhere", "coin-end"),
-     ("keys", "many-keys-small", "many-chests")],
+    [
+        ("maze", "anywhere-small", "maze-corner"),
+        *thorough(
+            ("coinrun", "coin-anywhere", "coin-end"), ("keys", "many-keys-small", "many-chests")
+        ),
+    ],
 )  # fmt: skip
 def test_a_link_has_a_level_that_was_not_exported(chrome, static, game, variant, agent):
     of = games.find(game)

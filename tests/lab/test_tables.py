@@ -52,6 +52,7 @@ def test_a_large_agent_is_looked_up_in_a_table(chrome, untrained, tmp_path):
             assert abs(one["value"] - value[0]) < 0.01
 
 
+@pytest.mark.thorough  # `test_a_large_agent_is_looked_up_in_a_table`
 def test_a_table_knows_a_level_by_its_other_object_too(chrome, untrained, tmp_path):
     untrained(tmp_path / "run", SIGHTED, **IMAGES, variant="dish-small", validation=None)
     lab = make_lab(tmp_path / "run", {})

@@ -200,6 +200,7 @@ def test_a_curve_goes_from_the_novice_to_the_expert(mouse):
     assert (table["seconds"] > 0).all() and len(PERCENTILES) == 8
 
 
+@pytest.mark.thorough  # `test_a_curve_goes_from_the_novice_to_the_expert`
 def test_what_curves_share_is_as_if_each_point_were_played_by_itself(mouse):
     watch = Watch(lambda s: s["time"] >= 2, lambda s: s["time"] >= 6)
     corner, anywhere = (one.with_knobs({"time_limit": 30}) for one in (CORNER, ANYWHERE))

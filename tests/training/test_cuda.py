@@ -39,11 +39,12 @@ def learned(config):
 @pytest.mark.parametrize(
     ("config", "graphs"),
     [
-        (ENDING, 2),
-        (PICTURES, 2),
-        (replace(ENDING, steps=3 * ENDING.batch, teacher="solver", taught=0.5), 3),
+        pytest.param(ENDING, 2, id="mlp"),
+        pytest.param(PICTURES, 2, id="impala", marks=pytest.mark.thorough),
+        pytest.param(
+            replace(ENDING, steps=3 * ENDING.batch, teacher="solver", taught=0.5), 3, id="student"
+        ),
     ],
-    ids=["mlp", "impala", "student"],
 )
 def test_graphs_learn_what_plain_calls_learn(config, graphs, monkeypatch):
     plain = learned(config)

@@ -16,6 +16,7 @@ from astray.analysis.adapters import from_trainer
 from astray.training import checkpoint
 from astray.training.loop import train
 from helpers.processes import environment
+from helpers.thorough import thorough
 from helpers.trainings import OFF, TINY, digest, train_to_first_checkpoint
 
 LEVELS = range(200_000, 200_030)
@@ -77,7 +78,7 @@ look(iterations)
 """
 
 
-@pytest.mark.parametrize("error", [pytest.param([], marks=pytest.mark.thorough), ["error"]])
+@pytest.mark.parametrize("error", [["error"], *thorough([])])
 def test_a_program_that_still_holds_the_loop_when_it_ends_has_a_checkpoint_too(tmp_path, error):
     """Python ended the generator after torch was half gone: it aborted, and nothing was saved."""
     command = [sys.executable, "-c", KEPT, str(tmp_path / "run"), *error]

@@ -19,6 +19,7 @@ from astray.mitigation.uncertainty import OfLogits
 from astray.training import checkpoint, loop, ppo
 from astray.training.checks import UNROLLED
 from astray.training.trainer import Trainer
+from helpers.thorough import thorough
 from helpers.trainings import TINY, digest, train_to_first_checkpoint
 
 NETWORKS = ("mlp+gru", "mlp+lstm", "drc-2-2")
@@ -181,7 +182,7 @@ def test_what_is_cut_off_is_valued_with_the_memory_of_its_episode(monkeypatch):
 
 @pytest.mark.parametrize(
     "name",
-    [*TRAINED[:-1], pytest.param(TRAINED[-1], marks=pytest.mark.thorough)],  # which takes longest
+    [*TRAINED[:-1], *thorough(TRAINED[-1])],  # which takes longest
 )
 def test_a_stopped_training_with_memory_goes_on_to_the_bit(name, tmp_path, monkeypatch):
     config = replace(CONFIG, network=name, validation="anywhere-small")

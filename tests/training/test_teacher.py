@@ -20,6 +20,7 @@ from astray.training.folders import TEACHER
 from astray.training.loop import collect, improve, train
 from astray.training.teacher import Taught
 from astray.training.trainer import Trainer
+from helpers.thorough import thorough
 from helpers.trainings import TINY, digest, train_to_first_checkpoint
 
 STUDENT = replace(TINY, teacher="tiny", steps=4096, epochs=3, learning_rate=3e-3)
@@ -214,7 +215,7 @@ def test_the_solver_says_the_way_to_the_intended_goal():
             player.step(t, 0, Answer(right))
 
 
-@pytest.mark.parametrize("sampler", ["uniform", "growing"])
+@pytest.mark.parametrize("sampler", ["uniform", *thorough("growing")])
 def test_lessons_anywhere_begin_new_levels_in_every_rollout(sampler):
     config = SOLVED.changed(sampler=sampler, lessons="anywhere")
     with contextlib.closing(Trainer(config)) as trainer:
