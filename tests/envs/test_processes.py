@@ -137,7 +137,7 @@ def test_an_environment_is_deleted_in_mid_episode():
         env.step(np.zeros(8, int))
         del env
         gc.collect()
-    assert wait_for(lambda: threading.active_count() == before)
+    assert wait_for(lambda: threading.active_count() <= before)  # another may have ended
 
 
 def wait_for(true, seconds=5.0):
@@ -167,4 +167,4 @@ def test_thousands_of_environments_leave_nothing_behind():
     some(9000 if MORE > 1 else 2000)
     gc.collect()
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - used < 5_000  # kB
-    assert wait_for(lambda: threading.active_count() == before)
+    assert wait_for(lambda: threading.active_count() <= before)  # another may have ended
