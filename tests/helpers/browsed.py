@@ -70,24 +70,49 @@ def wait(page, so):
         page.wait_for_timeout(30)
 
 
+# Windows of each browser that tests have left. In a new one a page takes a second more, as all code
+# is compiled again.
+LEFT = {}
+
+
 @contextmanager
 def opened(browser, address, ready=ARROWS, **options):
-    """A page of the lab, `ready`; what it writes to the console is in its `told`."""
+    """A page of the lab, `ready`, and what it writes to the console.
+
+    With `options` it is in a window of its own.
+    """
+    left = LEFT.setdefault(browser, [])
+    page, told = left.pop() if left and not options else new_window(browser, **options)
+    page.goto(address)
+    wait(page, f"{LOADED} && {ready}")
+    yield page, told
+    if options:
+        page.context.close()
+        return
+    page.unroute_all()
+    page.context.set_offline(False)
+    page.evaluate("localStorage.clear()")
+    page.set_viewport_size({"width": 1280, "height": 720})
+    page.emulate_media(color_scheme="null")
+    page.goto("about:blank")
+    told.clear()
+    left.append((page, told))
+
+
+def new_window(browser, **options):
+    """A page that has loaded nothing, and what it will write to the console."""
     context = browser.new_context(**options)
     context.set_default_timeout(1000 * PATIENCE)
     page, told = context.new_page(), []
     page.on("console", lambda message: told.append(message.text))
     page.on("pageerror", lambda error: told.append(str(error)))
-    page.goto(address)
-    wait(page, f"{LOADED} && {ready}")
-    yield page, told
-    context.close()
+    return page, told
 
 
 @contextmanager
 def modules_of(browser, address):
-    """A page that imports the lab's modules when it is asked to, and loads none before."""
-    page = browser.new_page()
+    """A page that imports the lab's modules when it is asked to, as the files are now."""
+    page, _ = new_window(browser)  # others may have kept files
     page.goto(address + "lab.css")
     yield page
     page.context.close()
