@@ -137,6 +137,28 @@ def test_whole_numbers_without_bounds_differ_in_a_vector(low, high, kind):
     assert as_seen(far, "symbolic", far.low[None] + [[2, 4]]).tolist() == [[0.25, 0.5]]
 
 
+def counted(high, **knobs):
+    env = Room(**knobs)
+    env._seen = lambda: np.array([env.x, env.square])
+    env.observation_space = spaces.Box(0, high, (2,), int)
+    return env
+
+
+def test_bounds_of_another_variant_change_nothing_that_an_agent_sees_there(tmp_path):
+    told = []
+    for high in (8, 80):
+        variants = {
+            "end": partial(counted, 8),
+            "anywhere": partial(counted, high, place="anywhere"),
+        }
+        world = replace(WORLD, name="counted", variants=variants)
+        *_, last = iterate(replace(SMALL, game=world, steps=512), run := tmp_path / f"{high}")
+        live = evaluate(from_trainer(last.trainer), world, "anywhere", range(20))
+        kept = evaluate(load_agent(run), world, "anywhere", range(20))
+        told.append([checkpoint.metrics(run), live.rows(), kept.rows()])
+    assert told[0] == told[1]
+
+
 @pytest.mark.parametrize("huge", [np.inf, -1e300])
 def test_numbers_that_a_network_cannot_see_are_told(huge):
     space = spaces.Box(-np.inf, np.inf, (2,), np.float64)

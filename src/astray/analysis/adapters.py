@@ -8,11 +8,12 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 import torch
-from gymnasium.spaces import Box, Discrete
+from gymnasium.spaces import Box, Discrete, Space
 
 from astray.acting import Answer, Turn, checked_actions
 from astray.agents import policy as trained
 from astray.analysis.trained import AT_ONCE, Network, answered, check_scale
+from astray.envs.restarting import Restarting
 from astray.envs.vector import Observation
 from astray.game import OWN
 from astray.imports import guarded
@@ -191,6 +192,7 @@ class Learner:
     art: str
     seed: int
     device: str
+    trained: Space | None  # of observations in the training, in a `World`
 
     def outputs(self, observations: np.ndarray) -> tuple[torch.Tensor, ...]:
         """Return logits [N, A] and values [N] for observations [N, ...]."""
@@ -208,5 +210,6 @@ def from_trainer(trainer: Trainer, mode: Literal["sampled", "greedy"] = "sampled
         mode: "sampled" samples actions from the policy, "greedy" takes the most likely.
     """
     one_of("mode", mode, Literal["sampled", "greedy"])
-    its = trainer.config
-    return Learner(trainer.network, mode, its.observation, its.art, its.seed, its.device)
+    its, env = trainer.config, trainer.player.envs[0]
+    trained = env.trained if isinstance(env, Restarting) else None
+    return Learner(trainer.network, mode, its.observation, its.art, its.seed, its.device, trained)

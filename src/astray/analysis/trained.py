@@ -8,12 +8,13 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 import torch
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Space
 
 from astray.acting import Answer, Asking, Policy, Turn
 from astray.agents import policy
@@ -26,6 +27,7 @@ from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN, Game
 from astray.imports import guarded
 from astray.training import ppo
+from astray.training.environments import shown_in_training
 from astray.training.folders import AgentFolder
 from astray.validation import check_words, of_kind, one_of, shown
 from astray.world import World
@@ -94,7 +96,8 @@ def answered(agent: Any, turn: Turn) -> Answer:
     env, space, memory = turn.env, turn.env.single_action_space, None
     actions = action_table(space)
     if isinstance(env, WorldVectorEnv) and not isinstance(agent, Network):  # as in its training
-        seen = as_seen(env.single_observation_space, agent.observation, turn.observations)
+        space_here, seen = env.single_observation_space, turn.observations
+        seen = as_seen(space_here, agent.observation, seen, agent.trained)
         turn = turn._replace(observations=seen)
     if isinstance(agent.network, Recurrent) and not getattr(agent, "ask", None):
         logits, memory = recalled(agent.network, turn, agent.device, AT_ONCE[agent.observation])
@@ -154,6 +157,12 @@ class Agent:
         if len(self.architecture.shape) == 1:
             return Box(-np.inf, np.inf, self.architecture.shape, np.float32)
         return Box(0, 255, self.architecture.shape, np.uint8)
+
+    @cached_property
+    def trained(self) -> Space | None:
+        """Return the space of observations in its training in a `World`, if they were vectors."""
+        is_vector = self.observation == "symbolic"
+        return shown_in_training(AgentFolder.of(self.path).config()) if is_vector else None
 
     def asked(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return logits [N, A] and values [N] of one pass, with gradients."""

@@ -56,27 +56,30 @@ def seen_space(space: Space, observation: str) -> spaces.Box:
     return spaces.Box(0 if kind == np.uint8 else -np.inf, 255, space.shape, kind)
 
 
-def as_seen(space: Space, observation: str, shown_here: Any) -> np.ndarray:
+def as_seen(space: Space, observation: str, given: Any, trained: Space | None = None) -> np.ndarray:
     """Return observations [N, ...] in the form that a network receives.
 
     Args:
         observation: "image" leaves their axes: uint8, or float32. "symbolic" makes vectors [N, D]
             float32 of them, with integers scaled by their bounds, if they have any, to 0 to 1.
+        trained: Space of the training, whose bounds these are; None for `space`.
 
     Raises:
         ValueError: If a number is not finite in 32 bits.
     """
     seen = seen_space(space, observation)
     if isinstance(space, spaces.Box):
-        array = np.asarray(shown_here)
+        array = np.asarray(given)
     else:
-        n = len(next(iter(shown_here.values())) if isinstance(shown_here, Mapping) else shown_here)
-        each: Any = iterate(batch_space(space, n), shown_here)
+        n = len(next(iter(given.values())) if isinstance(given, Mapping) else given)
+        each: Any = iterate(batch_space(space, n), given)
         vectors: Any = [spaces.flatten(space, one) for one in each]
         array = np.stack(vectors)
     array = array.reshape(len(array), *seen.shape)
     if observation != "image" and (not isinstance(space, spaces.Box) or space.dtype.kind in "iu"):
-        low, high = _ends(space)
+        low, high = ends = _ends(trained or space)
+        if ends.shape[1:] != seen.shape:  # it sees other parts, which is an error elsewhere
+            low, high = _ends(space)
         array = (array - low) / np.maximum(high - low, 1)
     with np.errstate(over="ignore"):  # which is told
         array = array.astype(seen.dtype)
@@ -106,6 +109,7 @@ class Restarting:
     Attributes:
         final_states: Records [N] of the episodes that ended before the current ones began.
         single_action_space: Numbers of the rows of `action_table`.
+        trained: As in `as_seen`; that of another variant is set before the first reset.
     """
 
     def __init__(
@@ -117,6 +121,7 @@ class Restarting:
             check_repeats(world, variant, few, num_envs)
         self._env = WorldVectorEnv(world, variant, num_envs)
         self._levels, self._observation = levels, observation
+        self.trained: Space = self._env.single_observation_space
         try:
             self._actions = action_table(self._env.single_action_space)
             self.single_observation_space = seen_space(
@@ -208,7 +213,8 @@ class Restarting:
         return self._env.reset(options={"level": levels, "reset_mask": which})[0]
 
     def _seen(self, shown_here: Any) -> np.ndarray:
-        return as_seen(self._env.single_observation_space, self._observation, shown_here)
+        space = self._env.single_observation_space
+        return as_seen(space, self._observation, shown_here, self.trained)
 
 
 def joined(envs: Sequence[Restarting]) -> dict[str, np.ndarray]:

@@ -1,13 +1,16 @@
 """The environments that a training plays in, of a game or a `World`."""
 
+import contextlib
 from typing import Any
 
 import numpy as np
+from gymnasium import Space
 
 from astray.acting import Answer
 from astray.envs.restarting import Restarting
 from astray.envs.steps import Step
 from astray.envs.vector import GameVectorEnv
+from astray.envs.worlds import WorldVectorEnv
 from astray.training.config import Config
 from astray.world import WorldVariant
 
@@ -17,7 +20,10 @@ def environments(config: Config, variant: Any, n: int, levels: range) -> Any:
     if isinstance(variant, WorldVariant):
         game: Any = config.find_game()
         game = game.in_every_step if config.reward else game
-        return Restarting(game, variant, n, levels, config.observation)
+        made = Restarting(game, variant, n, levels, config.observation)
+        if str(variant) != str(config.training_variant()):
+            made.trained = shown_in_training(config)
+        return made
     return GameVectorEnv(
         config.game,
         variant,
@@ -28,6 +34,13 @@ def environments(config: Config, variant: Any, n: int, levels: range) -> Any:
         autoreset_mode="SameStep",
         threads=config.threads,
     )
+
+
+def shown_in_training(config: Config) -> Space:
+    """Return the space of observations in a training in a `World`, whose bounds scale integers."""
+    game, variant = config.find_game(), config.training_variant()
+    with contextlib.closing(WorldVectorEnv(game, variant, 1)) as env:  # pyright: ignore
+        return env.single_observation_space
 
 
 def whole_step(
