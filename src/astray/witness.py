@@ -15,6 +15,7 @@ from astray.validation import one_of, shown
 from astray.world import FAILURES, Env, Happened, World, WorldVariant
 
 NOTED = "astray"  # key of info that reports events and measures
+MASK = "action_mask"  # key of info that Gymnasium's own environments report allowed actions by
 BOOLEANS = (bool, np.bool_)
 NO = np.False_  # a single object, what comparisons of numpy's numbers return
 Asked = Callable[[Any, Mapping[str, Any]], Any]  # (environment, info) -> whether an event happens
@@ -80,7 +81,7 @@ class Witness(gymnasium.Wrapper):
         if type(info) is not dict:
             self._check_info(info)
         last = ended or self.time in (1, self.longest)  # 1: `until` may name an event of the reset
-        if self._happens(info) or last or self._every_step:
+        if self._happens(info) or last or self._every_step or MASK in info:
             info = {**info, NOTED: self._told()}
         try:
             if isfinite(reward):

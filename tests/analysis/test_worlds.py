@@ -251,6 +251,29 @@ def test_chance_seeds_no_space_that_an_environment_draws_from():
     assert one.equals(two)
 
 
+class Masked(Room):
+    """Refuses to go left, as its mask says."""
+
+    def reset(self, **given):
+        return super().reset(**given)[0], {"action_mask": np.array([0, 1], np.int8)}
+
+    def step(self, action):
+        if not action:
+            raise ValueError("an illegal action")
+        return *super().step(action)[:4], {"action_mask": np.array([0, 1], np.int8)}
+
+
+@pytest.mark.parametrize("workers", [False, True])
+def test_chance_and_the_check_of_repeats_take_only_actions_that_a_mask_allows(workers):
+    variants = dict.fromkeys(WORLD.variants, partial(Masked, "anywhere"))
+    events = WORLD.events | {"reached_square": lambda env, _: env.x == env.square}
+    world = replace(WORLD, variants=variants, events=events, workers=workers)
+    chance, right = (
+        evaluate(policy, world, "end", LEVELS[:4], batch=2) for policy in (Random(), RIGHT)
+    )
+    assert chance.drop("policy").equals(right.drop("policy"))
+
+
 class Nameless(Exception):
     def __repr__(self):
         raise self

@@ -50,6 +50,8 @@ class Random:
             pairs = zip(env.states["level"].tolist(), env.states["time"].tolist(), strict=True)
             return Answer(np.array([_drawn(space, self.seed, *pair) for pair in pairs]))
         noise = episode_noise(self.seed, env.states, int(space.n), RANDOM_SALT)
+        if isinstance(env, WorldVectorEnv):
+            noise = np.where(env.allowed, noise, -1)
         return Answer(int(space.start) + noise.argmax(1))
 
 

@@ -26,7 +26,7 @@ from astray.envs.watch import Watch
 from astray.files import UNGUARDED
 from astray.game import OWN
 from astray.validation import MOST, bounded, shown
-from astray.witness import NOTED, witnessed
+from astray.witness import MASK, NOTED, witnessed
 from astray.world import World, WorldVariant
 
 TRIED = 50  # steps of a level that is played twice
@@ -40,6 +40,7 @@ class WorldVectorEnv:
 
     Attributes:
         states: [N] records of the current episodes: level, time, events and measures.
+        allowed: [N, A] bool, the Discrete actions that masks of info allow; 1 where all are.
 
     Raises:
         ValueError: If an environment fails.
@@ -68,6 +69,7 @@ class WorldVectorEnv:
         full = spaces.Box(0, 255, self.single_observation_space.shape or (), np.uint8)
         self._trusted = self.single_observation_space == full
         self.states = np.zeros(num_envs, world.state).view(np.recarray)
+        self.allowed = np.ones((num_envs, 1), bool)
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any]
@@ -77,6 +79,7 @@ class WorldVectorEnv:
         levels = [int(k) for k in options["level"]]
         self.states[which] = np.zeros((), self.states.dtype)
         self.states["level"][which] = np.asarray(options["level"])[which]
+        self.allowed[which] = True
         given = {"reset_mask": which.copy()}
         seen, info = self._ask("reset", seed=levels, options=given)
         if self.game.level_key in info:
@@ -135,7 +138,7 @@ class WorldVectorEnv:
             return False
         self._learn_keys()
         self._envs.keep(kept)
-        self.states, self.num_envs = self.states[kept], len(kept)
+        self.states, self.allowed, self.num_envs = self.states[kept], self.allowed[kept], len(kept)
         return True
 
     def close(self) -> None:
@@ -164,6 +167,9 @@ class WorldVectorEnv:
         columns, which = (*self.game.events, *self.game.measures), info[f"_{NOTED}"]
         for name, values in zip(columns, info[NOTED].T, strict=True):
             self.states[name][which] = values[which]
+        masks, space = info.get(MASK), self.single_action_space
+        if isinstance(space, spaces.Discrete) and np.shape(masks) == (self.num_envs, space.n):
+            self.allowed = np.where(info[f"_{MASK}"][:, None], masks == 1, self.allowed)
 
     def _check_numbers(self, seen: Any) -> None:
         """Raise ValueError if an observation has NaN, with which networks compute only NaN.
@@ -357,7 +363,9 @@ def _played(
             if amid:
                 _played(world, variant, levels[:1])
             while len(told) <= TRIED and not env.states["ended"][0]:
-                taken = env.step(np.array([space.sample()]))[:4]
+                mask = env.allowed[0].astype(np.int8)
+                drawn = space.sample(mask) if len(mask) > 1 else space.sample()
+                taken = env.step(np.array([drawn]))[:4]
                 told.append(deepcopy((*taken, env.get_state().tobytes())))  # NaNs as equal bytes
             episodes.append(told)
     return episodes
