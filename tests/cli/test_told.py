@@ -6,13 +6,24 @@ import subprocess
 import sys
 import threading
 
+import numpy as np
+import polars as pl
 import pytest
 
 from astray import cli
 from astray.cli import LONGEST, shortened
+from astray.cli.agents import show_amounts
 from astray.training.config import Config
 from astray.validation import printable
 from helpers.thorough import thorough
+
+
+def test_a_measure_that_is_no_number_is_told_with_its_level_under_its_mean(capsys):
+    played = {"policy": ["mouse"] * 3, "variant": ["end"] * 3, "level": [4, 5, 6]}
+    table = pl.DataFrame(played | {"rate": [0.5, np.nan, 1], "walked": [1, 2, 3]})
+    show_amounts(table, ["rate", "walked"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "rate is nan in level 5, so its mean is not finite" in said and "walked is" not in said
 
 
 def test_control_characters_are_shown_and_not_obeyed():

@@ -281,11 +281,16 @@ def show_amounts(episodes: pl.DataFrame, columns: Sequence[str]) -> None:
 
     if not columns:
         return
-    shown = Table("policy", *columns, title="mean of all levels")
+    shown, told = Table("policy", *columns, title="mean of all levels"), []
+    for name in columns:
+        lost = episodes.filter(~pl.col(name).cast(pl.Float64).is_finite()).select("level", name)
+        told += [
+            f"{name} is {x} in level {k}, so its mean is not finite" for k, x in lost.rows()[:1]
+        ]
+    shown.caption = "; ".join(told)
     found = amounts(episodes, columns)
     for rows in found.partition_by("policy", maintain_order=True):
-        told = [Estimate.of(row).short(3) for row in rows.to_dicts()]
-        shown.add_row(rows["policy"][0], *told)
+        shown.add_row(rows["policy"][0], *(Estimate.of(row).short(3) for row in rows.to_dicts()))
     show(shown, width=120)
 
 
