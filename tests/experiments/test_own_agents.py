@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import polars as pl
@@ -14,6 +15,7 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.experiments import outcomes, spec
 from astray.experiments.run import own_runs, reproduce, resolved
 from astray.experiments.spec import Experiment, OwnAgents, Plan
+from astray.training.config import Config
 from helpers.lava import GAME as LAVA
 from helpers.rooms import CELLS, WORLD, Room
 
@@ -81,6 +83,25 @@ def test_agents_are_trained_anew_where_the_environment_of_their_training_reads_a
             (tmp_path / f"light-{place}").write_text(light)
         folders.append(own_runs(plan, "right", tmp_path))
     assert folders[0] == folders[1] != folders[2]
+
+
+def test_agents_that_astray_trains_have_a_folder_for_each_state_of_your_code(tmp_path, monkeypatch):
+    class Reads(Room):
+        def _seen(self):
+            return super()._seen() * np.float32((tmp_path / "light").read_text())
+
+    monkeypatch.syspath_prepend(tmp_path)
+    variants = {name: partial(Reads, name) for name in WORLD.variants}
+    world = replace(WORLD, name="reads", variants=variants)
+    own = f"net{tmp_path.name.replace('-', '_')}:Net"
+    names = []
+    for light, doc in (("1", "a"), ("0.5", "a"), ("0.5", "b")):
+        (tmp_path / "light").write_text(light)
+        (tmp_path / f"{own.partition(':')[0]}.py").write_text(f"class Net:\n    'Is {doc}.'\n")
+        each = [Config(world, "end"), Config("maze", "corner", network=own), Config("maze")]
+        names.append([spec.name_of_run(config) for config in each])
+    changed = [[one != other for one, other in zip(*pair, strict=True)] for pair in pairwise(names)]
+    assert changed == [[True, False, False], [False, True, False]]
 
 
 @pytest.mark.parametrize("repeats", [True, False])

@@ -160,7 +160,7 @@ def train_agents(
     runs = {name: [folders.find(agent)] for name, agent in plan.published.items()}
     trainings = plan.trainings()
     runs |= {name: [run_folder(root, one) for one in its] for name, its in trainings.items()}
-    todo = {run_folder(root, one): one for its in trainings.values() for one in its}
+    todo = {run: one for n, its in trainings.items() for run, one in zip(runs[n], its, strict=True)}
     missing = {run: one for run, one in todo.items() if not checkpoint.finished(run, one)}
     if missing:
         checkpoint.check_all(missing)
@@ -280,7 +280,7 @@ def reproduce_each(names: Sequence[str], size: Size, root: Path, **how: Any) -> 
 
 
 def run_folder(root: Path, config: Config) -> Path:
-    """Return the run folder for these settings, which experiments share."""
+    """Return the run folder for these settings and code, which experiments share."""
     return root / "agents" / name_of_run(config)
 
 

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import polars as pl
 
-from astray import imports, world
+from astray import games, imports, provenance, world
 from astray.acting import Policy, Reward
 from astray.analysis.estimates import detectable
 from astray.analysis.evaluate import Measure, check_measures
 from astray.analysis.outcomes import load_shift, name_of
 from astray.analysis.policies import scripts_of
 from astray.analysis.tables import read_table, write_table
+from astray.envs.worlds import shown_first
 from astray.files import check_own
 from astray.game import OWN, Game, Variant
 from astray.outcome import COLUMNS
@@ -301,12 +302,28 @@ def open_agents(plan: Plan, runs: Runs) -> dict[str, list[Agent | Loaded]]:
     }
 
 
+def own_code(config: Config) -> str:
+    """Return a text of a training's sources that are not astray's, and of what its World shows.
+
+    It is "" for astray's own games and networks, whose agents outlive its versions.
+    """
+    code, game = config.code(), config.find_game()
+    if len(code) == 1 and config.game in games.OWN:
+        return ""
+    found = provenance.sources(code) or {}  # a notebook has none
+    mine = [one for one in found.items() if not f"{one[0]}.".startswith("astray.")]
+    variant, is_world = config.training_variant(), isinstance(game, World)
+    shown = shown_first(game, variant, config.first_level) if is_world else ""  # pyright: ignore
+    return f"{sorted(mine)}{shown}"
+
+
 def name_of_run(config: Config) -> str:
-    """Return the name of a training with these settings, equal in all experiments."""
+    """Return the name of a training with these settings and code, equal in all experiments."""
     usual = PRESETS["paper"].flat()  # left out, so that a new setting changes no name
     apart = {"seed", *MACHINE}
     settings = {k: v for k, v in config.flat().items() if k not in apart and v != usual[k]}
-    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
+    told = json.dumps(settings, sort_keys=True) + own_code(config)
+    digest = hashlib.sha256(told.encode()).hexdigest()[:8]
     return f"{config.game}-{config.variant}-{digest}/seed-{config.seed}"
 
 
