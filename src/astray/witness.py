@@ -12,7 +12,7 @@ import numpy as np
 
 from astray.record import NEVER
 from astray.validation import one_of, shown
-from astray.world import FAILURES, Env, Happened, World, WorldVariant
+from astray.world import FAILURES, Env, Failed, Happened, World, WorldVariant
 
 NOTED = "astray"  # key of info that reports events and measures
 MASK = "action_mask"  # key of info that Gymnasium's own environments report allowed actions by
@@ -54,7 +54,7 @@ class Witness(gymnasium.Wrapper):
         self._check_info(info)
         key = self.world.level_key
         if key is not None and key not in info:
-            raise ValueError(f"{self._where()}: its info has no {key!r}, the number of the level")
+            raise Failed(f"{self._where()}: its info has no {key!r}, the number of the level")
         if key is not None:
             self.level = int(info[key])
         self._happens(info)
@@ -88,9 +88,7 @@ class Witness(gymnasium.Wrapper):
                 return seen, float(reward), terminated, truncated, info
         except (TypeError, ValueError, OverflowError):
             pass
-        raise ValueError(
-            f"{self._where()}: its reward must be a finite number; got {shown(reward)}"
-        )
+        raise Failed(f"{self._where()}: its reward must be a finite number; got {shown(reward)}")
 
     def render(self) -> Any:
         """Return the image of the environment; raise ValueError if it fails."""
@@ -156,21 +154,19 @@ class Witness(gymnasium.Wrapper):
         else:
             return
         told = f"the observation is of {told}, where the space says {space}"
-        raise ValueError(f"{self._where()}: {told}")
+        raise Failed(f"{self._where()}: {told}")
 
     def _check_flag(self, name: str, flag: Any) -> None:
         # It may be NaN, which is truthy, or text; this takes 3 us.
         if np.ndim(flag) or flag not in (0, 1):
-            raise ValueError(
-                f"{self._where()}: its {name} must be True or False; got {shown(flag)}"
-            )
+            raise Failed(f"{self._where()}: its {name} must be True or False; got {shown(flag)}")
 
     def _check_info(self, info: Any) -> None:
         if not isinstance(info, Mapping):
-            raise ValueError(f"{self._where()}: its info must be a dictionary; got {shown(info)}")
+            raise Failed(f"{self._where()}: its info must be a dictionary; got {shown(info)}")
 
     def _failed(self, doing: str, error: BaseException) -> ValueError:
-        return ValueError(f"{self._where()}: its {doing} fails: {shown(error, 300)}")
+        return Failed(f"{self._where()}: its {doing} fails: {shown(error, 300)}")
 
     def _where(self) -> str:
         return f"{self.variant}, level {self.level}, step {self.time}"

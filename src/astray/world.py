@@ -28,6 +28,14 @@ SEEN = "observation"  # field of states that holds what an environment showed in
 NOT_OURS = {f.name for f in fields(Game)}  # names of a game, some of which a world has
 
 
+class Failed(ValueError):
+    """Error that the code of a world, such as an environment, caused."""
+
+
+class Silent(RuntimeError):
+    """Error that an environment does not answer, or its process died."""
+
+
 @dataclass(frozen=True, eq=False)
 class WorldVariant:
     """A factory of environments and the keyword arguments that it is called with."""
@@ -85,7 +93,7 @@ class WorldVariant:
             made = self.factory(**self.knobs)
         except FAILURES as error:
             told = shown(error) if isinstance(error, SystemExit) else brief(error)
-            raise ValueError(f"the factory of {self} fails: {told}") from error
+            raise Failed(f"the factory of {self} fails: {told}") from error
         of_kind(f"the environment that the factory of {self} returns", made, Env)
         for name in ("observation_space", "action_space"):
             of_kind(f"the {name} of {self}", getattr(made, name, None), gymnasium.Space)
@@ -112,7 +120,7 @@ class WorldVariant:
             shows.make().close()
         except ValueError as error:
             told = f"a video of {self} needs a factory that takes or sets render_mode='rgb_array'"
-            raise ValueError(f"{told}: {brief(error)}") from error
+            raise Failed(f"{told}: {brief(error)}") from error
         return shows
 
     def __str__(self) -> str:

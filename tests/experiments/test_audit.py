@@ -224,6 +224,31 @@ def test_environments_whose_drawing_fails_amid_an_episode_are_audited_without_vi
     assert "step 2: its render fails: RuntimeError" in page.read_text("utf-8")
 
 
+def test_an_error_of_a_policy_in_a_video_is_not_told_as_an_environment_s(tmp_path):
+    """Only the environments of videos are drawn."""
+
+    class Drawn(Room):
+        def render(self):
+            drawn.append(1)
+            return super().render()
+
+    def choose(seen):
+        if drawn:
+            raise ValueError("it is lost")
+        return go_right(seen)
+
+    drawn = []
+    makers = {name: partial(Drawn, name, render_mode="rgb_array") for name in WORLD.variants}
+    with pytest.raises(ValueError, match="it is lost"):
+        audit(
+            Function(choose, "right"),
+            replace(WORLD, variants=makers),
+            "end",
+            levels=20,
+            out=tmp_path,
+        )
+
+
 def blindly(place):
     return Room(place)
 

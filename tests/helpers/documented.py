@@ -8,6 +8,8 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
+from astray import world
+
 ARRAY = re.compile(r"\b(NDArray|ndarray|Tensor)\b")
 # Tensors of a checkpoint, each of its own shape; functions; lists of numbers, or arrays of these.
 OTHERS = re.compile(r"(dict|Mapping)\[str, Tensor\]|list\[Tensor\]|Callable\[.*\]|"
@@ -63,7 +65,7 @@ class Function:
 
 def _names(error: str) -> list[str]:
     """Return an error's name, and those of the errors that it is a kind of."""
-    kinds = getattr(builtins, error, Exception).__mro__
+    kinds = getattr(builtins, error, getattr(world, error, Exception)).__mro__
     return [error, *(kind.__name__ for kind in kinds[: -len(Exception.__mro__)])]
 
 

@@ -19,7 +19,7 @@ from astray.files import write_aside
 from astray.game import Game, Variant
 from astray.level import Level
 from astray.validation import bounded, of_kind
-from astray.world import World, WorldVariant
+from astray.world import Failed, World, WorldVariant
 
 BACKGROUND, INK = (27, 32, 40), (235, 237, 240)  # dark, to fit light and dark pages
 CAPTION = 17  # pixels, the size of its letters
@@ -113,7 +113,7 @@ def _rendered(
         played.append(step)
         shown.append(_enlarged(env.render()[0], pixels))
         if shown[-1].shape != shown[0].shape:
-            raise ValueError(f"{variant}, level {level}: images of a video must have one shape")
+            raise Failed(f"{variant}, level {level}: images of a video must have one shape")
     return played, np.stack(shown)
 
 

@@ -12,6 +12,7 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array,
 
 from astray.envs.watch import Watch
 from astray.validation import shown
+from astray.world import Failed
 
 
 class InTurn(VectorEnv):
@@ -33,7 +34,7 @@ class InTurn(VectorEnv):
         first, *others = [(env.observation_space, env.action_space) for env in self._envs]
         for other in others:
             if other != first:
-                raise ValueError(
+                raise Failed(
                     f"environments of a variant must have equal spaces; got {first} and {other}"
                 )
         # A copy, as an environment may draw from its own.
@@ -115,7 +116,7 @@ class InTurn(VectorEnv):
             return concatenate(space, self._observations, create_empty_array(space, n, np.empty))
         except (KeyError, TypeError, ValueError, IndexError) as error:  # of parts that are not so
             told = f"an observation is not of its space {space}"
-            raise ValueError(f"{told}: {shown(error, 300)}") from error
+            raise Failed(f"{told}: {shown(error, 300)}") from error
 
 
 def _copied(seen: Any) -> Any:

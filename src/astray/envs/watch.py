@@ -7,6 +7,8 @@ import time
 import warnings
 from types import TracebackType
 
+from astray.world import Silent
+
 LOOKS = 8  # in the time that one environment may take
 
 
@@ -44,7 +46,7 @@ class Watch:
             self._busy = False
         if self._hangs and kind is KeyboardInterrupt:
             self._hangs = False
-            raise RuntimeError(f"{self._told()}. World(patience=...) waits longer") from error
+            raise Silent(f"{self._told()}. World(patience=...) waits longer") from error
 
     def end(self) -> None:
         """End the thread."""

@@ -27,7 +27,7 @@ from astray.files import UNGUARDED
 from astray.game import OWN
 from astray.validation import MOST, bounded, shown
 from astray.witness import MASK, NOTED, witnessed
-from astray.world import World, WorldVariant
+from astray.world import Failed, Silent, World, WorldVariant
 
 TRIED = 50  # steps of a level that is played twice
 _tell = cache(logging.getLogger("astray").warning)  # each text once
@@ -107,7 +107,7 @@ class WorldVectorEnv:
         """
         images = np.asarray(self._ask("call", "render"))
         if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3 or not images.size:
-            raise ValueError(
+            raise Failed(
                 f"environments of {self.variant} must render images [H, W, 3] uint8; got "
                 f"{images.dtype} of shape {images.shape[1:]}"
             )
@@ -167,7 +167,7 @@ class WorldVectorEnv:
         columns, which = (*self.game.events, *self.game.measures), info[f"_{NOTED}"]
         for name, values in zip(columns, info[NOTED].T, strict=True):
             self.states[name][which] = values[which]
-        masks, space = info.get(MASK), self.single_action_space
+        masks, space = info.get(MASK, ()), self.single_action_space
         if isinstance(space, spaces.Discrete) and np.shape(masks) == (self.num_envs, space.n):
             self.allowed = np.where(info[f"_{MASK}"][:, None], masks == 1, self.allowed)
 
@@ -182,7 +182,7 @@ class WorldVectorEnv:
                 wrong = np.isnan(part.reshape(self.num_envs, -1)).any(1)
                 if wrong.any():
                     level, time = (self.states[name][wrong][0] for name in ("level", "time"))
-                    raise ValueError(
+                    raise Failed(
                         f"{self.variant}, level {level}, step {time}: the observation has NaN"
                     )
         if not self._trusted and not self._envs.observation_space.contains(seen):
@@ -208,14 +208,14 @@ class WorldVectorEnv:
                 yield
         except multiprocessing.TimeoutError as error:
             self._give_up()
-            raise RuntimeError(
+            raise Silent(
                 f"an environment of {self.variant} did not answer for {self.game.patience:g} s; "
                 "its process was ended. World(patience=...) waits longer"
             ) from error
         except (EOFError, ConnectionError) as error:
             self._give_up()
             told = f"the process of an environment of {self.variant} died"
-            raise RuntimeError(told if self._envs else told + UNGUARDED) from error
+            raise Silent(told if self._envs else told + UNGUARDED) from error
         except (AttributeError, KeyError, TypeError, PickleError) as error:  # also of pickle
             if not self.game.workers:
                 raise
@@ -223,7 +223,7 @@ class WorldVectorEnv:
             told = (
                 f"spaces and infos of {self.variant} must be picklable, and observations of their"
             )
-            raise ValueError(f"{told} space, or World(workers=False): {shown(error)}") from error
+            raise Failed(f"{told} space, or World(workers=False): {shown(error)}") from error
 
     def _kill(self) -> None:
         for process in self._envs.processes:

@@ -30,7 +30,7 @@ from astray.report.page import write_page
 from astray.training.folders import AgentFolder
 from astray.training.log import METRICS
 from astray.validation import of_kind, path_of
-from astray.world import World, WorldVariant
+from astray.world import Failed, Silent, World, WorldVariant
 
 PAGE, WRITER = "compare.html", "astray compare"
 SIGN = f'<meta name="generator" content="{WRITER}">'.encode()  # in it
@@ -202,7 +202,7 @@ def _videos(
             video.play(one, game, variant, level, pixels=SIDE, longest=LONGEST).frames
             for one in players.values()
         ]
-    except ValueError as error:
+    except (Failed, Silent) as error:
         return [f"There is no video: {error}."]
     there = mine.filter(level=level)
     ends = dict(zip(there["policy"], there["outcome"], strict=True))

@@ -32,7 +32,7 @@ from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.folders import read_config
 from astray.validation import brief
-from astray.world import World
+from astray.world import Failed, Silent, World
 
 STREAMS = (
     "the environments choose their levels, so that none is played again, and nothing is compared "
@@ -140,10 +140,9 @@ def findings_of(
     trained, tested, *_ = work.plan.tests.values()
     usual = [table for table in outcome_tables(work) if not table.frame.is_empty()]
     shown, more = [], {"videos": f"none: {STREAMS}"} if of_streams(work.plan) else {}
-    told_of = (ValueError, RuntimeError) if isinstance(work.plan.game, World) else ()
     try:
         shown = [] if more else videos(work, trained=trained, tested=tested, agent=agent)
-    except told_of as error:  # it may fail to render, at any step
+    except (Failed, Silent) as error:  # an environment may fail to render, at any step
         more = {"videos": f"none: {brief(error)}"}
     return Findings(
         answer=answer,
