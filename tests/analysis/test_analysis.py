@@ -1,5 +1,6 @@
 """Evaluation, outcomes and intervals."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,9 @@ from astray.analysis.outcomes import (
 )
 from astray.analysis.overlap import met, overlap, unseen
 from astray.analysis.policies import Random, Walk
+from astray.analysis.runs import load_agent
 from astray.analysis.trained import Agent
+from astray.training.folders import find
 
 MAZE = games.find("maze")
 LEVELS = range(1_000_000, 1_000_060)
@@ -59,6 +62,13 @@ def test_another_seed_samples_other_actions(agent_file):
 def test_an_agent_for_other_observations_is_refused(agent_file):
     with pytest.raises(ValueError, match=r"shape \(4, 7, 7\), not \(4, 25, 25\)"):
         evaluate(Agent(agent_file, "maze"), "maze", "corner", [1])
+
+
+def test_an_agent_whose_settings_say_another_width_is_refused(tmp_path):
+    path = shutil.copytree(find("maze-corner"), tmp_path / "mouse") / "config.json"
+    path.write_text(path.read_text().replace('width": 256', 'width": 128'))
+    with pytest.raises(ValueError, match="it has width 256, where the settings say 128"):
+        load_agent(path.parent)
 
 
 @pytest.mark.parametrize("network, alone", [("patch", True), ("impala", False)])

@@ -208,7 +208,7 @@ def test_runs_say_what_they_were_trained_on_and_another_is_shown_where_asked_for
     folder.mkdir(parents=True)
     written = {"config": config.to_json()}
     (tmp_path / "config.json").write_text(json.dumps(written))
-    architecture = Architecture("mlp", (4, 25, 25), (1, 1, 6, 6), 15)
+    architecture = Architecture("mlp", (4, 25, 25), (1, 1, 6, 6), 15, width=config.width)
     network = architecture.build()
     (folder / checkpoint.AGENT).write_bytes(weights(network, architecture, "maze"))
     assert open_run(tmp_path)[0].art == "original"

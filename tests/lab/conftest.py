@@ -53,6 +53,8 @@ def untrained():
 
     def write(folder, architecture, **settings):
         torch.manual_seed(0)
+        sizes = {"network": architecture.name, "scale": architecture.scale}
+        settings = {**sizes, "width": architecture.width, **settings}
         config = replace(make_lab("maze-corner", {}).agents.open("maze-corner")[1], **settings)
         path = folder / "checkpoints" / "1" / "agent.safetensors"
         path.parent.mkdir(parents=True)

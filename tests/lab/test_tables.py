@@ -97,7 +97,7 @@ def test_an_agent_that_no_table_can_stand_for_is_refused(
     """A page would play an agent with memory as if each step began its episode."""
     kind = {"network": network, "observation": "image" if settings else "symbolic"}
     actions = len(games.find(settings.get("game", "maze")).actions)
-    architecture = Architecture(network, (64, 64, 3), (), actions)
+    architecture = Architecture(network, (64, 64, 3), (), actions, width=8)
     if not settings:
         architecture = Architecture(network, (4, 7, 7), (1, 1, 6, 6), actions, width=8)
     untrained(tmp_path / "run", architecture, **kind, **settings, validation=None, width=8)

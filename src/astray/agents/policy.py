@@ -152,9 +152,16 @@ def read_weights(path: Path, game: str, **known: Any) -> dict[str, Tensor]:
     """
     with _explained(path):
         tensors, its = _read(path, game)
-        if its != (wanted := replace(its, **known)):
-            raise ValueError(f"its network is {its}, and that of the training {wanted}")
-        return tensors
+    check_known(path, its, **known)
+    return tensors
+
+
+def check_known(path: Path, its: Architecture, **known: Any) -> None:
+    """Raise ValueError unless the network in an agent's file has the fields `known`."""
+    differ = [name for name, wanted in known.items() if getattr(its, name) != wanted]
+    if differ:
+        told = (f"{n} {getattr(its, n)}, where the settings say {known[n]}" for n in differ)
+        raise ValueError(f"{path} is not an agent that can be used: it has {'; '.join(told)}")
 
 
 def _check_weights(tensors: dict[str, Tensor], network: nn.Module) -> None:

@@ -13,7 +13,7 @@ import torch
 
 from astray import world
 from astray.acting import Levels, Policy, Reward, check_ending, check_policy
-from astray.agents.policy import usable, weights
+from astray.agents.policy import check_known, usable, weights
 from astray.analysis.evaluate import Measure, evaluate
 from astray.analysis.outcomes import (
     label,
@@ -51,7 +51,9 @@ def open_run(
     config.find_game().drawn(shown, None if art is None else config.training_variant())
     while True:
         try:
-            return Agent(found.weights, config.game, mode, config.seed, device, shown), config
+            agent = Agent(found.weights, config.game, mode, config.seed, device, shown)
+            check_known(agent.path, agent.architecture, **config.sizes)
+            return agent, config
         except FileNotFoundError:  # a training removes older checkpoints
             if found == (found := AgentFolder.open(run)):
                 raise

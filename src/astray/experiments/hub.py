@@ -22,7 +22,7 @@ from astray.agents import policy
 from astray.envs.vector import space_of
 from astray.experiments.connection import Wary, reached, unreachable, wary
 from astray.experiments.keep import keep
-from astray.files import holds_only, read, write_aside
+from astray.files import read, write_aside
 from astray.training import folders
 from astray.training.folders import CARD, CONFIG, HUB, ORIGIN, AgentFolder
 from astray.validation import brief, of_kind, shown, slug
@@ -340,16 +340,11 @@ def _check_agent(repository: str, folder: Path) -> None:
         config, path = its.config(), its.weights
         _, architecture = policy.load(path, config.game)
         its.card.read_text(encoding="utf-8")
+        game = config.find_game()
+        space = space_of(game, config.training_variant(), config.observation)
+        largest = () if config.observation == "image" else tuple(space.high.max((1, 2)).tolist())
+        seen = {"shape": space.shape, "largest": largest, "actions": len(game.actions)}
+        policy.check_known(path, architecture, **config.sizes, **seen)
     except (ValueError, OSError) as error:
         said = brief(str(error).replace(str(folder), repository))
         raise ValueError(f"{repository} holds no agent that can be used: {said}") from error
-    game = config.find_game()
-    space = space_of(game, config.training_variant(), config.observation)
-    largest = () if config.observation == "image" else tuple(space.high.max((1, 2)).tolist())
-    wanted = (config.network, space.shape, largest, len(game.actions))
-    given = (architecture.name, architecture.shape, architecture.largest, architecture.actions)
-    if given != wanted or not holds_only(path.parent, (path.name,)):
-        told = "{} that sees {} of at most {}, with {} actions"
-        raise ValueError(
-            f"{repository}: its network must be {told.format(*wanted)}; got {told.format(*given)}"
-        )

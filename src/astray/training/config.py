@@ -234,6 +234,11 @@ class Config:
         """All level numbers after the training levels."""
         return range(self.training_levels.stop, LEVELS.stop)
 
+    @property
+    def sizes(self) -> dict[str, Any]:
+        """The fields of an agent's `Architecture` that are settings."""
+        return {"name": self.network, "scale": self.scale, "width": self.width}
+
     def find_game(self) -> Game:
         """Return the game or, typed as a game, the `World` that is played."""
         return world.find(self.game)

@@ -222,8 +222,7 @@ def begin(
     if config.start is not None and not (folder and steps_saved(folder)):
         kept = folder / START if folder else None
         path = kept if kept and kept.exists() else AgentFolder.open(config.start).weights
-        known = {"name": config.network, "scale": config.scale, "width": config.width}
-        policy.read_weights(path, config.game, **known)  # before a game is compiled
+        policy.read_weights(path, config.game, **config.sizes)  # before a game is compiled
     with acceleration.torch_settings(config.threads):
         trainer = Trainer(config, network, loss, sampler, taught, reward)
         with contextlib.ExitStack() as stack:
