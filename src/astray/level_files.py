@@ -34,14 +34,15 @@ def read_levels(
         return _read_folder(path, game, variant, solvable)
     try:
         text = text_of(path, LARGEST_FILE)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"there is no level at {path}") from None
+    try:
         if path.suffix in (".json", ".jsonl"):
             found = [Level.from_json(game, variant, value) for value in _json_values(text)]
         else:
             found = [Level.from_text(game, variant, drawing) for drawing in _drawings(text)]
         for level in found:
             level.state(solvable=solvable)
-    except FileNotFoundError:
-        raise FileNotFoundError(f"there is no level at {path}") from None
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from error
     if not found:
@@ -51,10 +52,13 @@ def read_levels(
 
 
 def text_of(path: Path, most: int) -> str:
-    """Return the text in a file of at most `most` bytes, in UTF-8 or, marked as such, UTF-16."""
+    """Return a file's text, UTF-8 or (as marked) UTF-16; raise ValueError if it is neither."""
     data = read(path, most)
     wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # Windows PowerShell's >
-    return data.decode("utf-16" if wide else "utf-8-sig").replace("\r\n", "\n")
+    try:
+        return data.decode("utf-16" if wide else "utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def read_level(path: Path, game: Game, variant: Variant, *, solvable: bool = False) -> Level:

@@ -280,6 +280,8 @@ def test_an_unknown_action_is_explained(astray, tmp_path):
     path.write_text("left jump")
     words = ("replay", "maze", "corner", "--level", "1", "--actions", path)
     assert "unknown action 'jump'; there are: 0 left-down" in astray(*words, fails=True)
+    path.write_bytes(b"left \xff\x00")
+    assert f"astray: {path}: 'utf-8' codec can't decode" in astray(*words, fails=True)
 
 
 def test_the_window_opens_and_plays(monkeypatch):
