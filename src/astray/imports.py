@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import re
+import signal
 import sys
 import threading
 import warnings
@@ -14,6 +15,8 @@ from collections.abc import Collection, Iterator, Sequence
 from importlib.metadata import EntryPoint, distribution, distributions
 from operator import attrgetter
 from typing import Any
+
+import numpy as np
 
 from astray.validation import shown
 
@@ -27,7 +30,7 @@ class Terminated(KeyboardInterrupt):
 
 
 class _Lent:
-    """The standard streams, functions, path and folder while users' code runs, which may set them.
+    """State that users' code may set while it runs: streams, functions, path, folder, limits.
 
     Threads that run such code at once share what is lent: the first lends, the last takes back.
     """
@@ -43,6 +46,9 @@ class _Lent:
             self.standard = [(module, {**vars(module)}) for module in (builtins, json, os)]
             self.own, self.path, self.output = (sys.stdout, sys.stderr), [*sys.path], 0
             self.depth, self.folder = sys.getrecursionlimit(), ""
+            self.errors, self.mask = np.geterr(), os.umask(0o077)
+            os.umask(self.mask)
+            self.leaves_alarm = os.name == "nt" or any(signal.getitimer(signal.ITIMER_REAL))
             self.dtype = getattr(sys.modules.get("torch"), "get_default_dtype", lambda: None)()
             with contextlib.suppress(OSError):  # it was removed
                 self.folder = os.getcwd()
@@ -59,6 +65,10 @@ class _Lent:
             self.inside -= 1
             if not self.inside:
                 sys.setrecursionlimit(max(self.depth, sys.getrecursionlimit()))
+                np.seterr(**self.errors)
+                os.umask(self.mask)
+                if not self.leaves_alarm:
+                    signal.alarm(0)
                 with contextlib.suppress(KeyError, AttributeError):  # no torch, or not yet all
                     (torch := sys.modules["torch"]).set_default_dtype(self.dtype or torch.float32)
                 for module, own in self.standard:

@@ -3,12 +3,14 @@
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from astray import games, imports, world
@@ -188,6 +190,27 @@ def test_a_game_that_allows_few_calls_in_each_other_hides_no_other(tmp_path, mon
         assert sys.getrecursionlimit() == 2 * before
     finally:
         sys.setrecursionlimit(before)
+        games._offered.cache_clear()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="it has no alarms")
+def test_a_game_that_sets_an_alarm_a_mask_or_numpy_s_errors_leaves_them_as_they_were(
+    tmp_path, monkeypatch
+):
+    sets = "import os, signal, numpy\nsignal.alarm(100)\nos.umask(0o777)\nnumpy.seterr(all='raise')"
+    offer(tmp_path, monkeypatch, sets=f"{sets}\nGAME = 3")
+    before, mask = np.geterr(), os.umask(0o022)
+    try:
+        games.survey(lambda game: 0)
+        assert (signal.alarm(0), os.umask(0o022), np.geterr()) == (0, 0o022, before)
+        signal.alarm(100)
+        with imports.guarded("a game with its own limit of time"):
+            pass
+        assert signal.alarm(0) > 90
+    finally:
+        signal.alarm(0)
+        os.umask(mask)
+        np.seterr(**before)
         games._offered.cache_clear()
 
 
