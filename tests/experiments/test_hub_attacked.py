@@ -171,6 +171,16 @@ def test_a_hub_that_sends_a_byte_now_and_then_is_not_waited_for(hub, tmp_path, m
     assert outside(tmp_path) in (["agents", "mine"], ["mine"]) and not folders.imported()
 
 
+@pytest.mark.parametrize("part", ["/repos/create", "/preupload/", "/commit/"])
+def test_a_hub_that_answers_a_push_with_a_byte_now_and_then_is_not_waited_for(
+    hub, monkeypatch, part
+):
+    monkeypatch.setattr(download, "WAIT", 0.2)
+    hub.drips, hub.dripping = (1, 0.03), part
+    with pytest.raises(OSError, match=r"ada/new cannot be pushed: fewer than 10,000 bytes came"):
+        ours.push(folders.find("maze-corner"), "ada/new")
+
+
 def test_a_slow_hub_that_sends_enough_is_waited_for(hub, monkeypatch):
     """Its 582,584 bytes take 1.5 s; a busy machine may stop for most of the limit between two."""
     monkeypatch.setattr(download, "WAIT", 1.2)

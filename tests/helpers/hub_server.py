@@ -45,6 +45,7 @@ class Hub:
     sent: dict[str, str] = field(default_factory=dict)  # headers of what is sent of files
     missing: dict[str, str] = field(default_factory=dict)  # headers where there is no such file
     drips: tuple[int, float] | None = None  # bytes of files at once, and seconds after them
+    dripping: str = "/resolve/"  # part of the paths whose answers drip
     no_room: bool = False
     address: str = ""
 
@@ -62,7 +63,7 @@ class Handler(BaseHTTPRequestHandler):
         for name, value in ({"Content-Length": str(len(body))} | headers).items():
             self.send_header(name.replace("_", "-"), value)
         self.end_headers()
-        if self.command == "GET" and self.hub.drips and "/resolve/" in self.path:
+        if self.command in ("GET", "POST") and self.hub.drips and self.hub.dripping in self.path:
             many, seconds = self.hub.drips
             with contextlib.suppress(OSError):  # nobody waits for the rest
                 for begin in range(0, len(body), many):

@@ -7,11 +7,14 @@ path, it would write elsewhere or link to a file of the user's.
 import contextlib
 import logging
 import re
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from astray.published import download
 from astray.published.download import LEAST, in_time
 from astray.validation import brief, shown
 
@@ -78,6 +81,19 @@ class Wary:
             answer.stream = _counted(answer.stream, self.come, int(size))
 
 
+def _pace(answer: Any) -> None:
+    """Let an answer to a push raise OSError if it comes too slowly, as by a byte now and then."""
+    begun, arrived = time.monotonic(), 0
+
+    def come(count: int) -> None:
+        nonlocal arrived
+        arrived += count
+        if time.monotonic() - begun > download.WAIT * (1 + arrived // LEAST):
+            raise OSError(f"fewer than {LEAST:,} bytes came in {download.WAIT:g} seconds")
+
+    answer.stream = _counted(answer.stream, come, sys.maxsize)
+
+
 def _counted(stream: Any, come: Callable[[int], None], most: int) -> Any:
     """Return the stream, with a call of `come` for the bytes in each part; raise after `most`."""
 
@@ -104,8 +120,8 @@ def _check_name(what: str, given: str | None, known: re.Pattern[str]) -> None:
 
 
 @contextlib.contextmanager
-def wary() -> Iterator[Wary]:
-    """Check every answer before huggingface_hub uses it; other threads wait for their turn."""
+def wary(pushes: bool = False) -> Iterator[Wary]:
+    """Check every answer, to a push only its pace, while other threads wait for their turn."""
     from huggingface_hub import set_client_factory
     from huggingface_hub.utils import _http
 
@@ -113,8 +129,8 @@ def wary() -> Iterator[Wary]:
 
     def make() -> Any:
         client = made()
-        asked, answered = (client.event_hooks[name] for name in ("request", "response"))
-        client.event_hooks = {"request": [*asked, seen.ask], "response": [*answered, seen.see]}
+        hooks = {"response": [_pace]} if pushes else {"request": [seen.ask], "response": [seen.see]}
+        client.event_hooks = {n: [*own, *hooks.get(n, ())] for n, own in client.event_hooks.items()}
         return client
 
     with ONE:

@@ -94,7 +94,7 @@ def push(
     with tempfile.TemporaryDirectory(prefix="astray-") as passing:
         folder = _with_card(its, repository, shift, levels, Path(passing))
         write_aside(folder / DIGESTS, json.dumps(_digests(folder), indent=1).encode())
-        with reached(repository, revision, "pushed", DIGESTS):
+        with reached(repository, revision, "pushed", DIGESTS), wary(pushes=True):
             api.create_repo(repository, private=private, exist_ok=True)
             if revision is not None:
                 api.create_branch(repository, branch=revision, exist_ok=True)
