@@ -13,7 +13,7 @@ from astray.analysis.trained import Network
 from astray.insight.activations import activations, capture, layers
 from astray.insight.attribution import gradients, integrated_gradients, occlusion
 from astray.insight.interventions import ablate, patch, steer
-from astray.insight.probes import probe
+from astray.insight.probes import probe, untrained
 from helpers.rooms import CELLS, WORLD, Room
 
 HIDDEN, LEVELS = "body.2", range(40)
@@ -120,6 +120,17 @@ def test_a_layer_that_a_pass_calls_twice_is_refused_with_the_reason(model):
     seen = np.zeros((2, *model.space.shape), model.space.dtype)
     with pytest.raises(ValueError, match="of those that a pass calls once; there are: none"):
         activations(twice, seen, [HIDDEN])
+
+
+@pytest.mark.filterwarnings("ignore:.*weight_norm.* is deprecated:FutureWarning")
+@pytest.mark.parametrize("norm", [nn.utils.spectral_norm, nn.utils.weight_norm])
+def test_a_network_that_would_keep_trained_weights_is_no_untrained_one(model, norm):
+    normed = Network(nn.Sequential(nn.Flatten(), norm(nn.Linear(2 * CELLS, 2))), model.space, WORLD)
+    normed.outputs(np.zeros((1, 2, CELLS), np.float32))  # else torch copies no weight_norm
+    with pytest.raises(
+        ValueError, match=r"module '1' has no reset_parameters\(\) for normed weights"
+    ):
+        untrained(normed, 0)
 
 
 def test_what_cannot_be_looked_into_is_told(model):

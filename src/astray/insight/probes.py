@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 import torch
+from torch.nn.utils.spectral_norm import SpectralNorm
+from torch.nn.utils.weight_norm import WeightNorm
 
 from astray import imports
 from astray.analysis.critic import observe
@@ -110,12 +112,16 @@ def untrained(agent: AnyModel, seed: int) -> AnyModel:
         else:
             other.network = copy.deepcopy(agent.network)
             for name, module in other.network.named_modules():
-                if isinstance(anew := getattr(module, "reset_parameters", None), Callable):
+                # These hooks compute `weight` from what reset_parameters() does not know.
+                kinds = {type(hook) for hook in module._forward_pre_hooks.values()}
+                normed = bool(kinds & {SpectralNorm, WeightNorm})
+                anew = None if normed else getattr(module, "reset_parameters", None)
+                if isinstance(anew, Callable):
                     anew()
                 elif [*module.parameters(recurse=False)]:
+                    told = f"{name!r} has no reset_parameters()" + " for normed weights" * normed
                     raise ValueError(
-                        f"the untrained network of {agent.name} cannot be made: its module "
-                        f"{name!r} has no reset_parameters()"
+                        f"the untrained network of {agent.name} cannot be made: its module {told}"
                     )
     return other
 
