@@ -10,7 +10,6 @@ import signal
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import deepcopy
 from functools import cache, lru_cache, partial
 from pickle import PickleError
 from typing import Any
@@ -359,13 +358,13 @@ def _played(
     with contextlib.closing(env):
         for level in levels:
             (space := env.single_action_space).seed(int(level))
-            told: list[Any] = [deepcopy(env.reset(options={"level": [level]})[0])]
+            told: list[Any] = [env.reset(options={"level": [level]})[0]]
             if amid:
                 _played(world, variant, levels[:1])
             while len(told) <= TRIED and not env.states["ended"][0]:
                 mask = env.allowed[0].astype(np.int8)
                 drawn = space.sample(mask) if len(mask) > 1 else space.sample()
                 taken = env.step(np.array([drawn]))[:4]
-                told.append(deepcopy((*taken, env.get_state().tobytes())))  # NaNs as equal bytes
+                told.append((*taken, env.get_state().tobytes()))  # NaNs as equal bytes
             episodes.append(told)
     return episodes
