@@ -307,7 +307,11 @@ def own_code(config: Config) -> str:
 
     It is "" for astray's own games and networks, whose agents outlive its versions.
     """
-    code, game = config.code(), config.find_game()
+    game = config.find_game()
+    try:
+        code = config.code()
+    except ValueError:  # it cannot be imported, which is told before any training
+        return ""
     if len(code) == 1 and config.game in games.OWN:
         return ""
     found = provenance.sources(code) or {}  # a notebook has none
