@@ -1,53 +1,94 @@
 """The lab in a notebook: the page as a widget, and the answers that it gets there."""
 
+from contextlib import contextmanager
+
 import pytest
 
+import astray.lab
+from astray import games
 from astray.lab.notebook import LOADER, modules
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
+from astray.level import Level
 from helpers.browsed import ROOM, wait
+
+# Cells that show one widget, whose kernel tells its answers to all; `passed` has the keys that the
+# notebook hears.
+CELLS = """async ([loader, modules, count]) => {
+  const heard = [];
+  const model = {
+    get: (name) => ({ modules })[name],
+    on: (_, hear) => heard.push(hear),
+    send: async (text) => {
+      for (const answer of await kernel(text)) heard.forEach((hear) => hear(answer));
+    },
+  };
+  const address = URL.createObjectURL(new Blob([loader], { type: "text/javascript" }));
+  const { default: widget } = await import(address);
+  const cells = Array.from({ length: count }, () => document.createElement("div"));
+  document.body.replaceChildren(...cells);
+  globalThis.passed = [];
+  document.addEventListener("keydown", ({ key }) => passed.push(key));
+  for (const el of cells) await widget.render({ model, el });
+  globalThis.labs = cells.map((el) => el.lab);
+  globalThis.lab = labs[0];
+}"""
+
+
+@contextmanager
+def notebook(chrome, static, cells=1):
+    session = Session(make_lab("maze-corner", {}))
+    page = chrome.new_context().new_page()
+    page.expose_function("kernel", lambda text: list(session.answers(text)))
+    page.goto(f"{static}data/index.json")  # any page without scripts of its own
+    page.evaluate(CELLS, [LOADER.read_text(), modules(), cells])
+    wait(page, "labs.every((lab) => lab.ready && lab.fields.size > 0)")
+    yield page
+    page.context.close()
 
 
 def test_the_widget_of_a_notebook_is_the_same_page(chrome, static):
-    session, lab = None, make_lab("maze-corner", {})
-    session = Session(lab)
-    context = chrome.new_context()
-    page = context.new_page()
-    page.expose_function("kernel", lambda text: list(session.answers(text)))
-    page.goto(f"{static}data/index.json")  # any page without scripts of its own
-    page.evaluate(
-        """async ([loader, modules]) => {
-          const heard = [];
-          const model = {
-            get: (name) => ({ modules })[name],
-            on: (_, hear) => heard.push(hear),
-            send: async (text) => {
-              for (const answer of await kernel(text)) heard.forEach((hear) => hear(answer));
-            },
-          };
-          const address = URL.createObjectURL(new Blob([loader], { type: "text/javascript" }));
-          const { default: widget } = await import(address);
-          const el = document.createElement("div");
-          document.body.replaceChildren(el);
-          await widget.render({ model, el });
-          globalThis.lab = el.lab;
-        }""",
-        [LOADER.read_text(), modules()],
-    )
-    wait(page, "lab.ready && lab.fields.size > 0")
-    assert page.evaluate("(level) => lab.open(level)", ROOM)
-    wait(page, "lab.fields.size > 0")
-    assert page.evaluate("lab.text") == ROOM
-    context.close()
+    with notebook(chrome, static) as page:
+        assert page.evaluate("(level) => lab.open(level)", ROOM)
+        wait(page, "lab.fields.size > 0")
+        assert page.evaluate("lab.text") == ROOM
+        page.evaluate("lab.part('taken').open = true")
+        assert page.is_visible("[data-lab=json]") and not page.is_visible("[data-lab=link]")
+
+
+def test_keys_in_a_cell_play_and_never_reach_the_notebook(chrome, static):
+    with notebook(chrome, static) as page:
+        page.click("[data-lab=once]")
+        wait(page, "lab.now === 1")
+        page.keyboard.press("d")
+        wait(page, "lab.now === 2")
+        for key in ("x", "b", "Control+s"):
+            page.keyboard.press(key)
+        assert page.evaluate("passed") == ["Control", "s"]
+
+
+def test_cells_of_one_widget_do_not_take_each_other_s_answers(chrome, static):
+    with notebook(chrome, static, cells=2) as page:
+        both = "[lab.open(3), labs[1].open(5)]"
+        assert page.evaluate(f"Promise.all({both})") == [True, True]
+        assert page.evaluate("labs.map((lab) => lab.number)") == [3, 5]
 
 
 def test_the_notebook_s_widget_answers_its_page():
     pytest.importorskip("anywidget", reason="anywidget is not installed")
-    import astray.lab
-
     widget = astray.lab.show("maze-corner", ROOM)
     sent = []
     widget.send = lambda answer: sent.append(answer)
     widget._handle_custom_msg('{"id": 4, "kind": "hello"}', [])
     assert sent[-1]["id"] == 4 and sent[-1]["start"]["level"] == ROOM
     assert {"app.js", "index.html", "rules/maze.js"} <= widget.modules.keys()
+
+
+def test_a_notebook_shows_what_it_is_asked_for_or_nothing():
+    maze = games.find("maze")
+    level = Level.from_text(maze, maze.variant("anywhere-small"), ROOM)
+    for wrong in ({"game": "coinrun"}, {"variant": "corner-small"}):
+        with pytest.raises(ValueError, match=r"got game=.* and a level of maze: anywhere, in 7"):
+            astray.lab.show("maze-corner", level, **wrong)
+    with pytest.raises(TypeError, match="varient"):
+        astray.lab.show("maze-corner", 3, varient="corner-small")

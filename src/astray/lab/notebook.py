@@ -14,31 +14,38 @@ LOADER = PAGE / "widget.js"
 
 
 def show(
-    agent: str | Path | Policy | None = None, level: int | str | Level = 0, **start: str
+    agent: str | Path | Policy | None = None,
+    level: int | str | Level = 0,
+    *,
+    game: str | None = None,
+    variant: str | None = None,
 ) -> Any:
     """Show the lab as a widget in Jupyter, Colab, VS Code or Marimo.
 
     Args:
         agent: Name, run folder or policy; None for the first available one.
-        level: Number, drawing or `Level`.
-        start: Further initial settings: game (which a policy needs), variant.
+        level: Number, drawing or `Level`, which has its own game and variant.
+        game: Name, which a policy needs.
+        variant: Name; None for the agent's test variant.
 
     Raises:
         ImportError: If anywidget is not installed.
-        ValueError: If no named variant has such a level.
+        ValueError: If a setting is invalid, or no such variant has the level.
     """
     from astray.lab.serving import make_lab
     from astray.lab.session import Session
 
-    first: dict[str, Any] = dict(start)
+    start: dict[str, Any] = {"game": game, "variant": variant, "level": level}
     if isinstance(level, Level):
-        names = [name for name, variant in level.game.variants.items() if variant == level.variant]
-        if not names:
-            raise ValueError("a level's variant must be one of the game's by name to be shown")
-        first |= {"game": level.game.name, "level": level.to_json(), "variant": names[0]}
-    else:
-        first["level"] = level
-    lab = make_lab(agent, first)
+        own, named = level.game.name, level.game.variants.items()
+        names = [n for n, one in named if one == level.variant and variant in (None, n)]
+        if not names or game not in (None, own):
+            raise ValueError(
+                f"a level's variant must be one of its game's by name, and those given, to be "
+                f"shown; got {game=}, {variant=} and a level of {own}: {level.variant.about}"
+            )
+        start |= {"game": own, "level": level.to_json(), "variant": names[0]}
+    lab = make_lab(agent, start)
     session = Session(lab)
     widget = _widget_class()(modules=modules())
 

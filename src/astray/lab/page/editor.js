@@ -24,8 +24,8 @@ export class Editor {
     canvas.addEventListener("pointerleave", () => this.lab.panels.readout(null));
     const board = lab.part("board");
     // A page hears keys wherever they are pressed, but for those that fields take or that press
-    // buttons; a notebook's cell hears them on the board alone.
-    const ear = lab.links ? globalThis : board;
+    // buttons; a notebook's cell hears its own.
+    const ear = lab.links ? globalThis : lab.root;
     ear.addEventListener("keydown", (event) => {
       const presses = event.key === " " || event.key === "Enter";
       if (!event.target.closest?.(presses ? `${FIELDS}, input, button, summary, a` : FIELDS)) {

@@ -77,6 +77,7 @@ export class Panels {
     const { note, engine } = lab.about;
     part("zoom").checked = lab.root.clientWidth < 600; // the whole would be too small to see
     part("way").hidden = engine === "static"; // what needs Python is not offered there
+    part("link").hidden = !lab.links; // a notebook's address shows no level
     for (const option of part("method").options) {
       option.hidden = engine === "static" && option.value.includes("gradients");
     }

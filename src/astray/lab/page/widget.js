@@ -34,6 +34,10 @@ async function render({ model, el }) {
   el.append(root);
   const lab = new Lab(root, kernelEngine(model, Questions), { links: false });
   el.lab = lab;
+  // JupyterLab hears keys that no field takes: after a click on a button, "d d" deletes the cell.
+  root.addEventListener("keydown", (event) => {
+    if (!event.ctrlKey && !event.metaKey && !event.altKey) event.stopPropagation();
+  });
   await lab.begin();
 }
 

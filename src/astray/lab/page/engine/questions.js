@@ -7,7 +7,8 @@ export class Questions {
   constructor(send) {
     this.send = send;
     this.waiting = new Map();
-    this.next = 1;
+    // A notebook's kernel answers all cells that show a widget; none takes another's answers.
+    this.next = 1 + Math.floor(Math.random() * 2 ** 50);
   }
 
   hear({ id, done, stale, error, ...part }) {
