@@ -264,6 +264,16 @@ class Forgetful(Recurrent):
         return torch.zeros(1, 2), torch.zeros(len(state)), state
 
 
+class Averaging(Recurrent):
+    """Its logits are relative to the others' in its batch."""
+
+    memory = 1
+
+    def recall(self, observation, state, begins):
+        seen = observation.flatten(1).cumsum(1)[:, -2:]
+        return seen - seen.mean(0), state[:, 0], state
+
+
 class Counting(Recurrent):
     """It counts steps, goes left at every third, and clears no memory; it may say what begins."""
 
@@ -324,7 +334,8 @@ class Bare(Function):
             "change by .* with the others of its batch",
         ),
         (Network(Model(), SPACE, ask=dropped), "change by .* with every call, as with dropout"),
-        (Network(Forgetful(), SPACE), "a network must give 16 rows, one per observation"),
+        (Network(Averaging(), SPACE), "change by .* with the others of its batch"),
+        (Network(Forgetful(), SPACE), r"must give logits \[64, actions\], .* got \[\[1, 2\]"),
         (Bare(), "what a policy returns must be a Answer; got array"),
         (Function(lambda seen, memory, begins: 3, remembers=True), "must return actions and its"),
     ],

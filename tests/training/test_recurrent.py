@@ -276,10 +276,33 @@ class Drags(Own):
         return super().recall(observation, state, begins & False)
 
 
-@pytest.mark.parametrize("network", [Onward, Keeps, Drags])
+class Late(Own):
+    """Forgets a step too late."""
+
+    def recall(self, observation, state, begins):
+        logits, value, state = super().recall(observation, state, begins & False)
+        return logits, value, state * ~begins[:, None]
+
+
+class Averages(Own):
+    """Says how it differs from the others of its batch."""
+
+    def recall(self, observation, state, begins):
+        logits, value, state = super().recall(observation, state, begins)
+        return logits - logits.mean(0), value, state
+
+
+@pytest.mark.parametrize("network", [Onward, Keeps, Drags, Late, Averages])
 def test_a_network_that_learns_from_other_memories_than_it_acts_by_is_refused(network):
     with pytest.raises(ValueError, match="must say the same step by step, in recall, and of"):
         next(loop.iterate(CONFIG, network=network))
+
+
+@pytest.mark.parametrize("envs", [1, 2])
+def test_a_network_that_forgets_nothing_is_noticed_in_few_environments(envs):
+    few = replace(CONFIG, num_envs=envs, minibatches=1)
+    with pytest.raises(ValueError, match="forget where `begins`"):
+        next(loop.iterate(few, network=Drags))
 
 
 class Flattens(Own):

@@ -328,6 +328,8 @@ class Network:
 
     def actions(self, turn: Turn) -> Answer:
         """Return an action per observation; raise ValueError if the logits do not give one."""
+        if self.caveat and not self._is_checked:
+            self.outputs(turn.observations[:1])
         return answered(self, turn)
 
 

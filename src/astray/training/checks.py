@@ -107,28 +107,35 @@ def check_memoryless(network: nn.Module, samples: Samples, config: Config) -> No
 def check_recalled(network: nn.Module, samples: Sequences) -> None:
     """Raise ValueError if a network's `recall`, by which it acts, and its `unroll` differ.
 
-    Episodes begin at any step of the sequences that are compared.
+    Every other sequence is played alone, from a state of 0 wherever an episode begins, as agents
+    are afterwards. Episodes begin at any step.
     """
     assert isinstance(network, Recurrent)
     shown = samples.observation[:UNROLLED]
     _, _, state = network.recall(shown[0], samples.state, samples.begins[0])
     steps, places = (torch.arange(n, device=state.device) for n in shown.shape[:2])
     begins = (steps[:, None] + places) % 3 == 2
-    acted = Recurrent.unroll(network, shown, state * ~begins[0, :, None], begins)
-    learned = network.unroll(shown, state, begins)
-    for then, now in zip(acted[:2], learned[:2], strict=True):
+    some, acted = slice(None, None, 2), []
+    learned = network.unroll(shown, state, begins)[:2]
+    state = state[some]
+    for seen, first in zip(shown[:, some], begins[:, some], strict=True):
+        *said, state = network.recall(seen, state * ~first[:, None], first)
+        acted.append(said)
+    for then, now in zip(map(torch.stack, zip(*acted, strict=True)), learned, strict=True):
+        now = now[:, some] if now.ndim > 1 else now
         apart = _size(now - then) if now.shape == then.shape else torch.tensor(torch.inf)
         if apart > _rounding(then):
             raise ValueError(
                 f"a network with memory must say the same step by step, in recall, and of a whole "
-                f"sequence, in unroll, and forget where `begins`; what {type(network).__name__} "
-                f"says differs by {float(apart / _size(then)):.2g} of its size"
+                f"sequence, in unroll, whatever others are in its batch, and forget where `begins`;"
+                f" what {type(network).__name__} says differs by {float(apart / _size(then)):.2g} "
+                "of its size"
             )
 
 
 def _rounding(said: Tensor) -> Tensor:
     """Return the largest difference in outputs that rounding makes."""
-    return APART * said.std() + ROUNDED * _size(said)
+    return APART * said.std(correction=0) + ROUNDED * _size(said)
 
 
 def _size(numbers: Tensor) -> Tensor:
