@@ -158,7 +158,7 @@ def test_kinds_that_nearly_all_succeed_and_differ_widely_are_told_apart_too_ofte
     assert 0.89 <= np.mean([one.low <= 0 <= one.high for one in found]) <= 0.95
 
 
-@pytest.mark.parametrize("others, spread", [(9, LARGE), (20, LARGE), (9, 0.3)])
+@pytest.mark.parametrize("others, spread", [(5, 0.3), (9, LARGE), (20, LARGE), (9, 0.3)])
 def test_two_agents_against_many_are_told_apart_too_often(others, spread):
     """As docs/evaluation.md says: Welch's freedom is too much where the two happen to be alike."""
     random = np.random.default_rng(others)

@@ -6,6 +6,7 @@ import pytest
 
 import astray.lab
 from astray import games
+from astray.lab import session
 from astray.lab.notebook import LOADER, modules
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
@@ -37,9 +38,9 @@ CELLS = """async ([loader, modules, count]) => {
 
 @contextmanager
 def notebook(chrome, static, cells=1):
-    session = Session(make_lab("maze-corner", {}))
+    its = Session(make_lab("maze-corner", {}))
     page = chrome.new_context().new_page()
-    page.expose_function("kernel", lambda text: list(session.answers(text)))
+    page.expose_function("kernel", lambda text: list(its.answers(text)))
     page.goto(f"{static}data/index.json")  # any page without scripts of its own
     page.evaluate(CELLS, [LOADER.read_text(), modules(), cells])
     wait(page, "labs.every((lab) => lab.ready && lab.fields.size > 0)")
@@ -82,6 +83,15 @@ def test_the_notebook_s_widget_answers_its_page():
     widget._handle_custom_msg('{"id": 4, "kind": "hello"}', [])
     assert sent[-1]["id"] == 4 and sent[-1]["start"]["level"] == ROOM
     assert {"app.js", "index.html", "rules/maze.js"} <= widget.modules.keys()
+
+
+def test_a_mistake_of_the_lab_is_told_in_the_cell_that_waits_for_an_answer(monkeypatch):
+    def fails(*_):
+        raise KeyError("nobody reckoned with this")
+
+    monkeypatch.setattr(session, "ANSWERS", {"level": fails})
+    (answer,) = Session(make_lab("maze-corner", {})).answers('{"id": 7, "kind": "level"}')
+    assert answer["id"] == 7 and "the lab itself failed: KeyError" in answer["error"]
 
 
 def test_a_notebook_shows_what_it_is_asked_for_or_nothing():

@@ -10,9 +10,7 @@ import importlib
 import json
 import logging
 import secrets
-import sys
 import time
-import traceback
 import webbrowser
 from collections.abc import Iterator
 from contextlib import suppress
@@ -187,7 +185,7 @@ class Conversation:
 
     async def _answer_one(self, text: str) -> None:
         answers: Any = self.session.answers(text)
-        while (part := await asyncio.to_thread(self._next, answers, text)) is not None:
+        while (part := await asyncio.to_thread(self._next, answers)) is not None:
             await self._send(part)
             if "rows" in part:  # probes take long, and nothing that others change
                 await self._answer_waiting()
@@ -196,15 +194,10 @@ class Conversation:
                 answers.close()
                 return
 
-    def _next(self, answers: Iterator[dict[str, Any]], text: str) -> dict[str, Any] | None:
-        """Return the next part of an answer; an internal error ends only this answer."""
+    def _next(self, answers: Iterator[dict[str, Any]]) -> dict[str, Any] | None:
+        """Return the next part of an answer; None at its end."""
         with self.lab.lock:
-            try:
-                return None if self.left else next(answers, None)
-            except Exception as error:
-                traceback.print_exc(file=sys.stderr)
-                said = f"the lab itself failed: {error!r}"
-                return {"id": number_of(text), "done": True, "error": said}
+            return None if self.left else next(answers, None)
 
     async def _send(self, part: dict[str, Any]) -> None:
         await self.page.send_text(json.dumps(part))

@@ -2,7 +2,9 @@
 
 import base64
 import functools
+import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,7 +56,7 @@ class Session:
     def answers(self, text: Any) -> Iterator[Reply]:
         """Yield the parts of the answer to any message; the last one has "done".
 
-        An invalid message is answered with "error".
+        An invalid message is answered with "error"; an internal error ends only this answer.
         """
         last: Reply = {}
         try:
@@ -66,6 +68,10 @@ class Session:
             yield {"id": message.id} | last | {"done": True}
         except MISTAKES as error:
             yield {"id": number_of(text), "done": True, "error": brief(error)}
+        except Exception as error:
+            traceback.print_exc(file=sys.stderr)
+            said = f"the lab itself failed: {error!r}"
+            yield {"id": number_of(text), "done": True, "error": said}
 
     def world(self, message: Message) -> World:
         """Return the level of a message; the last one is cached."""
