@@ -91,6 +91,17 @@ def test_a_network_or_sampler_that_cannot_be_made_is_told_in_a_sentence(tmp_path
     assert not (tmp_path / "run").exists()
 
 
+def made_by(architecture):
+    return OneColumn(architecture)
+
+
+def test_a_function_that_no_file_can_name_is_refused_before_the_training(tmp_path):
+    """Its agents were refused, after the training."""
+    with pytest.raises(ValueError, match="made_by must be a class derived from Module, or one of"):
+        train(TINY, tmp_path / "run", network=made_by, progress=False)
+    assert not (tmp_path / "run").exists()
+
+
 class Pools(OneColumn):
     """Returns one value for all observations in acting, some time later."""
 

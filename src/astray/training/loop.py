@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from astray import acting, imports
 from astray.acting import Reward
 from astray.agents import policy
+from astray.agents.names import is_own
 from astray.agents.policy import Architecture
 from astray.envs.pool import check_startable, most_threads
 from astray.training import checkpoint, parallel, ppo
@@ -67,8 +68,9 @@ def train(
 
     Args:
         folder: This agent's own run folder; `astray train --out F` has one in F for each seed.
-        network: Class or function `Architecture` -> module, which maps observations [B, ...] to
-            logits [B, actions] and values [B].
+        network: Class, or function that a package offers as an entry point of `astray.networks`:
+            `Architecture` -> module, which maps observations [B, ...] to logits [B, actions] and
+            values [B].
         loss: Function of the arguments of `ppo.loss`; its results are logged.
         sampler: Class that chooses the training levels: see `levels.Sampler`.
         reward: Function of an `acting.Step` that returns the rewards [n] to learn from, which may
@@ -218,6 +220,9 @@ def begin(
     if taught and config.teacher != SOLVER and not taught.exists():  # before a game is compiled
         told = f"the teacher {config.teacher} must be at {taught}; see `astray distil`"
         raise FileNotFoundError(told)
+    if folder and not is_own(config.network):
+        imports.find(config.network)  # the user's own names may be imported
+        imports.known(config.network, policy.GROUP, nn.Module)  # as the agent is loaded later
     path = None
     if config.start is not None and not (folder and steps_saved(folder)):
         kept = folder / START if folder else None
