@@ -16,6 +16,7 @@ import pytest
 from astray import games, imports, world
 from astray.envs.vector import GameVectorEnv
 from astray.game import More, Never, Shift
+from astray.kernel.jit import kernel
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
 from helpers.guests import offer
@@ -333,6 +334,21 @@ def test_a_game_whose_code_cannot_be_compiled_is_told():
     )
     with pytest.raises(ValueError, match=told):
         GameVectorEnv(replace(maze, name="plain", rules=rules), "corner")
+
+
+@kernel
+def masked(s, action):
+    s.cell[s.cell > 0] = 1
+    return 0.0, False
+
+
+def test_code_at_which_numba_itself_fails_is_told_with_its_line():
+    """A mask of two dimensions was told as AssertionError(), without a place."""
+    maze = games.find("maze")
+    rules = SimpleNamespace(**vars(maze.rules) | {"step": masked})
+    line = masked.__code__.co_firstlineno + 2
+    with pytest.raises(ValueError, match=rf"fails: AssertionError.*near .*test_broken.*{line}"):
+        GameVectorEnv(replace(maze, name="masked", rules=rules), "corner")
 
 
 @pytest.mark.parametrize("text", [b"[astray.games]\nno sign of equality\n", b"[a]\n\xff = b:C\n"])

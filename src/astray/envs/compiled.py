@@ -2,10 +2,12 @@
 
 import functools
 import re
+import traceback
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
-from numba.core.errors import NumbaError
+from numba.core.errors import NumbaError, loc_info
 
 from astray.envs import loops
 from astray.envs.pool import alone
@@ -56,6 +58,9 @@ def _compiled(game: Game, art: str) -> Callable:
         raise
     except Exception as error:
         told = _brief(error) if isinstance(error, NumbaError) else shown(error, 300)
+        *_, last = traceback.extract_tb(error.__traceback__)
+        if not isinstance(error, NumbaError) and "numba" in Path(last.filename).parts:
+            told += f" (near {loc_info.get('loc')})"  # of what numba fails to compile
         raise ValueError(f"the code of the game {game.name!r} fails: {told}") from error
     return run
 
