@@ -15,9 +15,10 @@ import tyro
 from astray.cli import guess, settings, verbs
 from astray.cli.arguments import pairs
 from astray.experiments.sweep.settings import Sweep, axes, changed
-from astray.training.config import PRESETS
+from astray.training.config import PRESETS, Config
 from astray.validation import command_of
 from helpers.flat import options
+from helpers.rooms import WORLD
 
 ROOT = Path(__file__).parents[2]
 CARDS = ROOT.glob("src/astray/agents/pretrained/**/README.md")
@@ -107,6 +108,10 @@ def test_set_means_knobs_and_settings_by_their_names():
     assert axes(["lr=1e-4,5e-4", "largest=3,5"]) == axes(["lr=1e-4,5e-4", "variant.largest=3,5"])
     with pytest.raises(ValueError, match="unknown setting or knob 'squid'; there are: game"):
         changed(base, {"squid": 3})
+    room = changed(Config(WORLD, "end"), pairs((("lr=1e-4", "place=start"),)))  # its factory's
+    assert (room.learning_rate, room.knobs) == (1e-4, {"place": "start"})
+    with pytest.raises(ValueError, match="takes no such knob: .*'squid'"):
+        changed(room, {"squid": 3})
 
 
 def test_what_was_meant_is_guessed():

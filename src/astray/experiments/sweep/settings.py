@@ -15,6 +15,7 @@ from astray.training.config import Config
 from astray.training.settings import KNOB, SEEDS, SHORT
 from astray.validation import bounded, one_of, shown
 from astray.variant import knobs
+from astray.world import WorldVariant
 
 TRAINING, TEST = "in training", "in the test"
 Cell = tuple[Any, ...]  # a value of each axis
@@ -131,13 +132,15 @@ def changed(base: Config, values: Mapping[str, Any]) -> Config:
         ValueError: If there is no such setting or knob, or the value is invalid.
     """
     known = [name for name in Config.names() if name not in ("knobs", "seed")]
-    there = list(knobs(type(base.training_variant())))
+    own = base.training_variant()  # of a World, its factory says which knobs there are
+    there = [] if isinstance(own, WorldVariant) else list(knobs(type(own)))
     settings, changes = {}, dict(base.knobs)
     for word, given in values.items():
         name, knob = SHORT.get(word, word), word.removeprefix(KNOB)
         if name in known and name not in there:
             settings[name] = value(given) if isinstance(given, str) else given
         else:
-            one_of("setting or knob", knob, (*known, *there))
+            if not isinstance(own, WorldVariant):
+                one_of("setting or knob", knob, (*known, *there))
             changes[knob] = given
     return base.changed(knobs=changes, **settings)
