@@ -245,6 +245,14 @@ def test_what_is_too_large_is_not_kept(run, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("levels", [0, -1, 10**9, 4.0])
+def test_levels_of_a_card_are_few_enough_to_be_counted(run, tmp_path, levels):
+    """All levels but the last took 17 GB."""
+    with pytest.raises(ValueError, match=f"levels must be .*; got {levels}"):
+        keep.keep(run, "mouse", folder=tmp_path, levels=levels)
+    assert not [*tmp_path.iterdir()]
+
+
 @pytest.mark.parametrize(
     "words, message",
     [

@@ -24,7 +24,7 @@ from astray.files import write_aside
 from astray.training import checkpoint, folders
 from astray.training.config import Config
 from astray.training.log import METRICS
-from astray.validation import path_of
+from astray.validation import AT_ONCE, bounded, path_of
 from astray.world import World
 
 LARGEST = 3_000_000  # bytes of an agent that is kept
@@ -48,8 +48,8 @@ def keep(
         largest: Largest size of its weights in bytes.
 
     Raises:
-        ValueError: If the name is invalid or taken, or the weights are too large, or there are no
-            metrics of its training, as of an agent that was kept.
+        ValueError: If the name is invalid or taken, levels are none or too many, the weights are
+            too large, or there are no metrics of its training, as of an agent that was kept.
     """
     folder = path_of("folder", folder)
     folders.check_new(name, folder)
@@ -60,6 +60,7 @@ def keep(
         )
     if isinstance(config.find_game(), World):  # which another process may not know by its name
         raise ValueError(f"agents of games are kept; {run} plays the World {config.game!r}")
+    bounded("levels", levels, 1, AT_ONCE)  # all but the last would take 17 GB
     source = folders.AgentFolder.of(agent.path)
     named = shift_of(config) if shift is None else shift
     if not (source.path / METRICS).exists():
