@@ -85,7 +85,7 @@ def test_a_link_in_the_cache_to_a_file_of_the_users_is_not_followed(hub, tmp_pat
     assert ours.pull("ada/mouse", name="third").is_dir()
 
 
-@pytest.mark.parametrize("repository", ["../x", "./x", "ada/..", "ada/.x", "/x", "ada/a/b"])
+@pytest.mark.parametrize("repository", ["../x", "./x", "ada/..", "ada/.x", "/x", "ada/a/b", 3])
 def test_a_repository_that_may_be_a_path_is_refused_before_anything_is_asked(hub, repository):
     hub.requests.clear()
     for ask in (
@@ -98,7 +98,7 @@ def test_a_repository_that_may_be_a_path_is_refused_before_anything_is_asked(hub
 
 
 @pytest.mark.parametrize(
-    "revision", ["/etc/x", "../../x", "a/../b", "", "a//b", "C:\\x", "a\n", ".", "./x", "a/.b"]
+    "revision", ["/etc/x", "../../x", "a/../b", "", "a//b", "C:\\x", "a\n", ".", "./x", "a/.b", 3]
 )
 def test_a_revision_that_may_be_a_path_is_refused_before_anything_is_asked(hub, revision):
     hub.requests.clear()

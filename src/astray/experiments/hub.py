@@ -167,9 +167,10 @@ def _api(endpoint: str | None) -> HfApi:
 
 def _check_name(repository: str, revision: str | None) -> None:
     """Raise ValueError if a repository or revision is invalid: both become paths in the cache."""
-    if not REPOSITORY.fullmatch(repository):
+    if not isinstance(repository, str) or not REPOSITORY.fullmatch(repository):
         raise ValueError(f"a repository must be USER/NAME, as ada/mouse; got {shown(repository)}")
-    if revision is not None and (not REVISION.fullmatch(revision) or ".." in revision):
+    given = "main" if revision is None else revision
+    if not isinstance(given, str) or not REVISION.fullmatch(given) or ".." in given:
         raise ValueError(
             f"a revision must be a branch, a tag or a commit, as main; got {shown(revision)}"
         )
