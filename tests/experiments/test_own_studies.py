@@ -19,6 +19,15 @@ def test_what_is_no_python_is_no_experiment(tmp_path, text):
         catalogue.find(str(tmp_path / "study.py"))
 
 
+def test_studies_of_one_module_have_reports_of_their_own(tmp_path, monkeypatch):
+    """The second one's report replaced the first one's."""
+    source = "from astray.experiments.catalogue import load\n"
+    (tmp_path / "mine_all.py").write_text(source + "EXPERIMENT = EARLY_ONE = load('maze-corner')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    names = [catalogue.find(f"mine_all:{name}")[0] for name in ("EXPERIMENT", "EARLY_ONE")]
+    assert names == ["mine-all", "mine-all-early-one"]
+
+
 def noted(plan, folder):
     text, digest = run.inputs(plan, {}, catalogue.load("maze-corner"))
     run.note(text, digest, folder)

@@ -50,7 +50,9 @@ def find(experiment: str | Experiment) -> tuple[str, Experiment]:
     if isinstance(experiment, Experiment):
         return experiment.name or slug(experiment.title), experiment
     if imports.is_name(experiment):
-        name, study = experiment.partition(":")[0].rpartition(".")[2], imports.find(experiment)
+        module, _, its = experiment.partition(":")  # its own name, too: a module may have several
+        name = f"{module.rpartition('.')[2]} {its}".removesuffix(" EXPERIMENT")
+        study = imports.find(experiment)
     elif experiment.endswith(".py"):
         name, study = Path(experiment).stem, _run(Path(experiment))
     else:
