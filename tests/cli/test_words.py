@@ -110,7 +110,7 @@ def test_set_means_knobs_and_settings_by_their_names():
         changed(base, {"squid": 3})
     room = changed(Config(WORLD, "end"), pairs((("lr=1e-4", "place=start"),)))  # its factory's
     assert (room.learning_rate, room.knobs) == (1e-4, {"place": "start"})
-    with pytest.raises(ValueError, match="takes no such knob: .*'squid'"):
+    with pytest.raises(ValueError, match=r"takes no such knob: .*'squid'"):
         changed(room, {"squid": 3})
 
 
