@@ -116,6 +116,7 @@ def test_minari_reads_its_layout(mouse, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # Minari takes a path that is not absolute for another
     folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS, Path("set"), form="minari")
     theirs = MinariDataset(folder / "data")
+    assert theirs.storage.metadata["requirements"] == []  # the index's astray is not ours
     assert theirs.total_episodes == len(LEVELS)
     played = {t.level: t for t in dataset.trajectories(mouse, "maze", "anywhere-small", LEVELS)}
     assert theirs.total_steps == sum(map(len, played.values()))

@@ -350,7 +350,7 @@ def write_minari(
             "author_email": set(),
             "code_permalink": "",
             "description": json.dumps(about),
-            "requirements": [f"astray=={version('astray')}"],
+            "requirements": [],  # Minari tells to install them by a name that is not ours
             "minari_version": version("minari"),
         }
     )
