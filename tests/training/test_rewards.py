@@ -128,6 +128,10 @@ def each_step(step):
     return np.ones(len(step.rewards))
 
 
+def masking(step):
+    return np.ma.masked_less(step.rewards, 1)
+
+
 def test_rewards_stand_in_the_episodes_of_a_result():
     result = evaluate_policies([], WORLD, "end", range(9), rewards={"left": leftward})
     mine = result.episodes.filter(policy="walk to end")
@@ -138,7 +142,8 @@ def test_rewards_stand_in_the_episodes_of_a_result():
     "reward, said",
     [
         (unfinished, "a reward must return 8 finite numbers, .*nan"),
-        (single, "a reward must return 8 finite numbers, .*got array"),
+        (single, r"a reward must return 8 finite numbers, .*got 1\.0"),
+        (masking, "a reward must return 8 finite numbers, .*masked_array"),
         (lambda step: step.rewards, "must be a function or a class at the top of a module"),
     ],
 )

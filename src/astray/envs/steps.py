@@ -57,11 +57,12 @@ def paid(reward: Reward, step: Step) -> np.ndarray:
     """
     with guarded(f"the reward {shown(reward)}", ValueError, ImportError):
         given = reward(copy.deepcopy(step))  # it may write to it
-    found, n = np.asarray(given), len(step.rewards)
-    if found.shape != (n,) or found.dtype.kind not in "biuf" or not np.isfinite(found).all():
+    found, n = np.asarray(given), len(step.rewards)  # which forgets a mask
+    fits = found.shape == (n,) and found.dtype.kind in "biuf" and not np.ma.is_masked(given)
+    if not fits or not np.isfinite(found).all():
         raise ValueError(
             f"a reward must return {n} finite numbers, one for each episode of the step; got "
-            f"{shown(found)}"
+            f"{shown(given)}"
         )
     return found.astype(np.float64)
 
