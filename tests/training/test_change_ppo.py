@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import nn
 
+from astray import load_agent
 from astray.agents.mlp import MLP
 from astray.training import loop, ppo, rollout
 from astray.training.config import PRESETS
@@ -262,6 +263,44 @@ def test_a_network_that_its_file_does_not_hold_is_refused(network):
         pytest.raises(ValueError, match="its agent would be another one once it is loaded"),
     ):
         next(loop.iterate(CONFIG, network=network))
+
+
+class Reads(Given):
+    """Reads numbers of tensors as it is made, as networks with stochastic depth do."""
+
+    def __init__(self, a):
+        super().__init__(a)
+        self.factor = [x.item() for x in torch.linspace(1, 2, 3)][1]
+
+
+class Orthogonal(Given):
+    """Has weights that are lacking where it is made without memory."""
+
+    def __init__(self, a):
+        super().__init__(a)
+        nn.utils.parametrizations.orthogonal(self.policy)
+
+
+@pytest.mark.filterwarnings("ignore:training runs")
+@pytest.mark.parametrize("network", [Reads, Orthogonal])
+def test_a_network_that_reads_what_it_is_made_of_is_trained_and_loaded(tmp_path, network):
+    """The first was said to have too many weights for any memory; the second was not loaded."""
+    loop.train(replace(CONFIG, steps=128), tmp_path, network=network, progress=False)
+    assert isinstance(load_agent(tmp_path).network, network)
+
+
+class Large(Given):
+    """Tries a filter on an image that is smaller."""
+
+    def __init__(self, a):
+        super().__init__(a)
+        nn.Conv2d(3, 1, 8)(torch.zeros(1, 3, 4, 4))
+
+
+def test_a_network_that_cannot_be_made_is_told_with_the_reason():
+    """It was said to have too many weights for any memory."""
+    with pytest.raises(ValueError, match=r"Large cannot be made for observations of .* 8\)"):
+        next(loop.iterate(CONFIG, network=Large))
 
 
 class DropsAnyway(Tanh):

@@ -125,11 +125,25 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
     """
     with _explained(path):
         tensors, architecture = _read(path, game)
-        with torch.device("meta"):  # first without memory: a header can promise any size
-            _check_weights(tensors, architecture.build())
-        network = architecture.build()
+        promised = (empty := hollow(architecture)).state_dict()  # a header can promise any size
+        _check_weights({n: t for n, t in tensors.items() if n in promised}, empty)
+        _check_weights(tensors, network := architecture.build())
         network.load_state_dict(tensors)
         return network.to(device).eval(), architecture
+
+
+def hollow(
+    architecture: Architecture, build: Callable[[Architecture], nn.Module] = Architecture.build
+) -> nn.Module:
+    """Build a network without memory for its weights, unless its own code reads numbers."""
+    try:
+        with torch.device("meta"):
+            return build(architecture)
+    except RuntimeError as error:
+        if "meta tensor" not in f"{error}":
+            raise
+    with torch.random.fork_rng([]):
+        return build(architecture)
 
 
 def load_into(network: nn.Module, path: Path, game: str, **known: Any) -> None:

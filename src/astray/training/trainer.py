@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from astray import imports
 from astray.acting import Reward
 from astray.agents.names import is_own
-from astray.agents.policy import Architecture
+from astray.agents.policy import Architecture, hollow
 from astray.agents.recurrent import Recurrent
 from astray.memory import check_memory
 from astray.training import parallel, ppo
@@ -28,7 +28,7 @@ from astray.training.rollout import Actor, Rollout, act
 from astray.training.settings import SAMPLERS
 from astray.training.teacher import Solver, Teacher
 from astray.training.teacher import loss as distilled
-from astray.validation import MOST, bounded, of_kind
+from astray.validation import MOST, bounded, brief, of_kind
 from astray.world import World
 
 PER_WEIGHT = 16  # bytes: float32 weight, gradient, and Adam's two moments
@@ -155,17 +155,20 @@ class Trainer:
         config, shown = self.config, math.prod(self.architecture.shape)
         name, passed = f"the network {config.network}", (ValueError, ImportError, RuntimeError)
         try:
-            with torch.device("meta"), imports.guarded(name, *passed, OverflowError):  # no memory
-                made = build(self.architecture)
+            with imports.guarded(name, *passed, OverflowError):
+                made = hollow(self.architecture, build)
                 of_kind(f"what {config.network} makes", made, nn.Module)
                 if isinstance(made, Recurrent):
                     bounded(f"memory of {config.network}", getattr(made, "memory", None), 1, MOST)
                 count = sum(x.numel() for x in made.parameters())
-                plain = build(replace(self.architecture, scale=1)).parameters()
+                plain = hollow(replace(self.architecture, scale=1), build).parameters()
                 if config.scale != 1 and count == sum(x.numel() for x in plain):
                     raise ValueError(f"network {config.network} has no scale; got {config.scale}")
-        except (RuntimeError, OverflowError) as error:  # more than there are addresses
-            raise MemoryError(
+        except (RuntimeError, OverflowError) as error:
+            if "overflow" not in f"{error}".lower():
+                of = f"{name} cannot be made for observations of {self.architecture.shape}"
+                raise ValueError(f"{of}: {brief(error)}") from error
+            raise MemoryError(  # more than there are addresses
                 f"a network of width {config.width} and scale {config.scale} has too many weights "
                 "for any memory"
             ) from error
