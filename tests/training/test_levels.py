@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from astray.envs.beginnings import initial_states
 from astray.envs.loops import SHIFT
@@ -382,6 +383,11 @@ def test_a_sampler_chooses_the_first_levels_too():
         ({"summary": lambda self: None}, "a sampler's summary must be a Mapping"),
         ({"arrays": lambda self: {"a": [1]}}, "a of a sampler must be an array of numbers"),
         ({"arrays": lambda self: []}, "a sampler's arrays must be a Mapping"),
+        ({"restore": None}, "what .* makes must be a Sampler"),
+        (  # no training could go on from its checkpoints
+            {"arrays": lambda self: {"begun": np.arange(self.count[0])}},
+            "arrays of a sampler must keep their names, shapes and dtypes",
+        ),
     ],
 )
 def test_what_a_sampler_must_not_do_is_told(method, message, tmp_path, monkeypatch):
@@ -391,7 +397,18 @@ def test_what_a_sampler_must_not_do_is_told(method, message, tmp_path, monkeypat
         trainer = Trainer(TINY, sampler=sampler)
         with contextlib.closing(trainer):
             loop.improve(trainer)
-            trainer.tensors()
+
+
+def test_a_sampler_that_writes_to_what_it_is_told_changes_nothing_that_is_learned():
+    def note(self, played):
+        played.advantage[:] = played.reward[:] = 0
+
+    learned = []
+    for sampler in (Numbered, numbered(note=note)):
+        with contextlib.closing(Trainer(TINY, sampler=sampler)) as trainer:
+            loop.improve(trainer)
+            learned.append(torch.cat([w.detach().flatten() for w in trainer.weights]))
+    assert torch.equal(*learned)
 
 
 @pytest.mark.parametrize(

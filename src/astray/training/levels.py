@@ -6,7 +6,7 @@ With "uniform" there is no sampler: the environments draw their levels themselve
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -61,6 +61,7 @@ class Played:
     truncated: np.ndarray
 
 
+@runtime_checkable
 class Sampler(Protocol):
     """Source of training levels, which is informed of the results in them.
 

@@ -1,5 +1,6 @@
 """The players of a training: environments of one variant, with the actors in them."""
 
+import copy
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -64,6 +65,8 @@ class Player:
         if (sampler is not None or isinstance(variant, WorldVariant)) and parallel.size() > 1:
             raise ValueError("with a sampler of levels, or a World, one process must train alone")
         self.sampler, self.learns, self._repeats, self._is_begun = sampler, True, False, False
+        self._kinds: dict[str, Any] = {}  # of a sampler's arrays
+        self._sampler_arrays()
         self._own_reward, self._levels = reward, levels
         self.here = parallel.shard(config.num_envs)  # this process's environments
         n = self.here.stop - self.here.start
@@ -206,7 +209,7 @@ class Player:
     def scored(self, played: Callable[[], Played]) -> None:
         """Report the rollout to the sampler, if there is one."""
         if self.sampler is not None:
-            self.sampler.note(played())
+            self.sampler.note(copy.deepcopy(played()))  # it may write to it
 
     def settle(self) -> None:
         """Add the rollout's ended episodes, of all processes, unless it only scored levels."""
@@ -243,6 +246,7 @@ class Player:
         """Return the sampler's summary; empty without one."""
         if self.sampler is None:
             return {}
+        self._sampler_arrays()
         told = self.sampler.summary()
         of_kind("a sampler's summary", told, Mapping)
         for name, value in told.items():
@@ -265,6 +269,13 @@ class Player:
                 raise ValueError(
                     f"{name} of a sampler must be an array of numbers; got {shown(array)}"
                 )
+        kinds = {name: (array.shape, array.dtype) for name, array in arrays.items()}
+        if kinds != (self._kinds or kinds):  # no training could go on from a checkpoint
+            raise ValueError(
+                "arrays of a sampler must keep their names, shapes and dtypes, as they are before "
+                f"the training; got {shown(kinds)} after {shown(self._kinds)}"
+            )
+        self._kinds = kinds
         return dict(arrays)
 
     def tensors(self) -> dict[str, Tensor]:

@@ -293,6 +293,7 @@ def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
     if make or config.sampler.kind not in SAMPLERS:
         with imports.guarded(f"the sampler {config.sampler.kind}", ValueError, ImportError):
             found = (make or imports.find(config.sampler.kind, True))(config)
+            of_kind(f"what {config.sampler.kind} makes", found, Sampler)
         return found
     if config.sampler.kind == "uniform":
         return None
