@@ -43,6 +43,30 @@ def test_a_run_that_was_looked_at_has_the_weights_of_one_that_was_not(tmp_path):
     assert checkpoint.metrics(tmp_path / "seen") == checkpoint.metrics(tmp_path / "plain")
 
 
+@pytest.fixture
+def doubles():
+    """A program whose default is float64, and that computes no gradients."""
+    torch.set_default_dtype(torch.float64)
+    with torch.no_grad():
+        yield
+    torch.set_default_dtype(torch.float32)
+
+
+@pytest.mark.usefixtures("doubles")
+def test_in_a_program_with_other_defaults_agents_are_trained_and_loaded_the_same(tmp_path):
+    """In float64 neither was possible, and without gradients the loss was blamed."""
+    train(TINY, tmp_path / "doubles", progress=False)
+    agent = astray.load_agent(tmp_path / "doubles")
+    assert torch.get_default_dtype() == torch.float64 and not torch.is_grad_enabled()
+    played = astray.evaluate(agent, "maze", VARIANT, LEVELS)
+    torch.set_default_dtype(torch.float32)
+    train(TINY, tmp_path / "plain", progress=False)
+    assert digest(tmp_path / "doubles") == digest(tmp_path / "plain")
+    assert played.equals(
+        astray.evaluate(astray.load_agent(tmp_path / "plain"), "maze", VARIANT, LEVELS)
+    )
+
+
 def test_without_a_folder_it_learns_the_same_and_writes_nothing(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for iteration in astray.iterate(TINY):

@@ -34,6 +34,17 @@ ROUNDED = 1e-3  # part of a logit by which rounding may change it
 SEQUENCES = ("shape", "largest", "widths")  # fields of an architecture that JSON has as lists
 
 
+@contextlib.contextmanager
+def float32() -> Iterator[None]:
+    """Make float32 torch's default, which the program may have changed."""
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float32)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(before)
+
+
 @dataclass(frozen=True)
 class Architecture:
     """Description of a network; the only argument of a custom one.
@@ -68,6 +79,7 @@ class Architecture:
             raise ValueError(f"`largest` must have a number for each plane; got {self}")
         check_network(self.name)
 
+    @float32()
     def build(self) -> nn.Module:
         """Build the network, initialised from torch's global random state.
 
