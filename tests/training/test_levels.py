@@ -386,7 +386,7 @@ def test_a_sampler_chooses_the_first_levels_too():
         ({"restore": None}, "what .* makes must be a Sampler"),
         (  # no training could go on from its checkpoints
             {"arrays": lambda self: {"begun": np.arange(self.count[0])}},
-            "arrays of a sampler must keep their names, shapes and dtypes",
+            "arrays of a sampler must keep names, shapes and dtypes",
         ),
     ],
 )

@@ -144,9 +144,7 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
         return network.to(device).eval(), architecture
 
 
-def hollow(
-    architecture: Architecture, build: Callable[[Architecture], nn.Module] = Architecture.build
-) -> nn.Module:
+def hollow(architecture: Architecture, build: Any = Architecture.build) -> nn.Module:
     """Build a network without memory for its weights, unless its own code reads numbers."""
     try:
         with torch.device("meta"):

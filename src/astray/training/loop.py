@@ -68,9 +68,8 @@ def train(
 
     Args:
         folder: This agent's own run folder; `astray train --out F` has one in F for each seed.
-        network: Class, or function that a package offers as an entry point of `astray.networks`:
-            `Architecture` -> module, which maps observations [B, ...] to logits [B, actions] and
-            values [B].
+        network: Class, or entry point of `astray.networks`: `Architecture` -> module, which maps
+            observations [B, ...] to logits [B, actions] and values [B].
         loss: Function of the arguments of `ppo.loss`; its results are logged.
         sampler: Class that chooses the training levels: see `levels.Sampler`.
         reward: Function of an `acting.Step` that returns the rewards [n] to learn from, which may

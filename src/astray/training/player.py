@@ -243,7 +243,7 @@ class Player:
         return dict(zip(names, map(float, means), strict=True)) | told
 
     def sampled(self) -> dict[str, float]:
-        """Return the sampler's summary; empty without one."""
+        """Return the sampler's summary, or {}; raise ValueError if it is not as it must be."""
         if self.sampler is None:
             return {}
         self._sampler_arrays()
@@ -271,10 +271,8 @@ class Player:
                 )
         kinds = {name: (array.shape, array.dtype) for name, array in arrays.items()}
         if kinds != (self._kinds or kinds):  # no training could go on from a checkpoint
-            raise ValueError(
-                "arrays of a sampler must keep their names, shapes and dtypes, as they are before "
-                f"the training; got {shown(kinds)} after {shown(self._kinds)}"
-            )
+            told = f"got {shown(kinds)} after {shown(self._kinds)}"
+            raise ValueError(f"arrays of a sampler must keep names, shapes and dtypes; {told}")
         self._kinds = kinds
         return dict(arrays)
 
