@@ -100,5 +100,5 @@ def test_a_notebook_shows_what_it_is_asked_for_or_nothing():
     for wrong in ({"game": "coinrun"}, {"variant": "corner-small"}):
         with pytest.raises(ValueError, match=r"got game=.* and a level of maze: anywhere, in 7"):
             astray.lab.show("maze-corner", level, **wrong)
-    with pytest.raises(TypeError, match="varient"):
-        astray.lab.show("maze-corner", 3, varient="corner-small")
+    with pytest.raises(TypeError, match="difficulty"):
+        astray.lab.show("maze-corner", 3, difficulty="corner-small")

@@ -39,7 +39,7 @@ MOMENTS = ("exp_avg", "exp_avg_sq")  # Adam's, for each weight
 class Adam(torch.optim.Adam):
     """Adam whose methods do not load torch's compiler, which takes a second of a training's start.
 
-    They load it so that it leaves them out where a whole update is compiled, which nothing does here.
+    They load it to be left out of updates that are compiled whole, which none is here.
     """
 
     add_param_group = inspect.unwrap(torch.optim.Adam.add_param_group)
