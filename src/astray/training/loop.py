@@ -220,7 +220,7 @@ def begin(
         told = f"the teacher {config.teacher} must be at {taught}; see `astray distil`"
         raise FileNotFoundError(told)
     if folder and not is_own(config.network):
-        imports.find(config.network)  # the user's own names may be imported
+        imports.find(config.network, True)  # the user's own names may be imported
         imports.known(config.network, policy.GROUP, nn.Module)  # as the agent is loaded later
     path = None
     if config.start is not None and not (folder and steps_saved(folder)):
