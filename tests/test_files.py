@@ -15,13 +15,17 @@ from astray.analysis import agency
 from astray.cli import agents as verbs
 from astray.cli import arguments
 from astray.files import (
+    LOCK,
     aside_of,
     check_free,
     check_writable,
     files_aside,
     folder_aside,
+    hold,
+    make_folder,
     read,
     remove_left,
+    remove_made,
     write_aside,
 )
 from astray.kernel import cache, jit
@@ -283,3 +287,15 @@ def test_nothing_is_left_beside_a_file_that_was_not_written(tmp_path, monkeypatc
     with pytest.raises(error):
         write_aside(tmp_path / "a", b"new")
     assert [p.name for p in tmp_path.iterdir()] == ["a"] and (tmp_path / "a").read_bytes() == b"old"
+
+
+def test_a_check_that_made_a_folder_leaves_it_to_another_that_holds_it(tmp_path):
+    """A second training would begin in it, and both write to the same files."""
+    made = make_folder(tmp_path / "run")
+    with hold(tmp_path / "run", "is training in"):
+        remove_made(made)
+        assert (tmp_path / "run" / LOCK).exists()
+        with pytest.raises(TimeoutError), hold(tmp_path / "run", "is training in", wait=False):
+            pass
+    remove_made(made)
+    assert not (tmp_path / "run").exists()

@@ -108,11 +108,12 @@ def make_folder(folder: Path) -> list[Path]:
 
 
 def remove_made(folders: Iterable[Path]) -> None:
-    """Remove folders that `make_folder` created, while they hold at most the lock of `hold`."""
-    with contextlib.suppress(OSError):  # another process may have come
+    """Remove folders that `make_folder` created, while they have at most a lock that is free."""
+    with contextlib.suppress(OSError):  # another process may have come, and hold it
         for folder in filter(Path.exists, folders):
             if [path.name for path in folder.iterdir()] == [LOCK]:
-                (folder / LOCK).unlink()
+                with FileLock(folder / LOCK, timeout=0), contextlib.suppress(PermissionError):
+                    (folder / LOCK).unlink()  # on Windows its release does
             folder.rmdir()
 
 
