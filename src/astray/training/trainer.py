@@ -37,9 +37,10 @@ MOMENTS = ("exp_avg", "exp_avg_sq")  # Adam's, for each weight
 
 
 class Adam(torch.optim.Adam):
-    """Adam whose methods do not load torch's compiler, which takes a second of a training's start.
+    """`torch.optim.Adam` without the import of torch's compiler, which takes a second.
 
-    They load it to be left out of updates that are compiled whole, which none is here.
+    Its methods import the compiler to tell it to skip them. No training here compiles a step of the
+    optimizer.
     """
 
     add_param_group = inspect.unwrap(torch.optim.Adam.add_param_group)
