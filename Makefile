@@ -11,8 +11,7 @@ demo: $(INSTALLED)
 
 # All checks, the documentation, and all tests; those that compare images with the original's need
 # its pictures, which are fetched where the package index answers, and are skipped where not.
-# Compiling is one process's work, and begins first; types and pages are checked beside it, and
-# beside the tests where it is done sooner.
+# Compiling begins first; types and pages are checked beside it, or beside the tests.
 test: export ASTRAY_ART ?= $(CURDIR)/.art
 test: $(INSTALLED)
 	-$(BIN)/astray art import
@@ -30,7 +29,7 @@ WORKERS = 3
 tested: compiled
 	$(PYTEST)
 
-# What tests run compiled: of two processes that compile a game, one would wait for the other.
+# What tests run compiled, each game by one process, as others would wait for it.
 compiled: $(INSTALLED)
 	cd tests && ../$(BIN)/python -m helpers.compiled
 
@@ -73,7 +72,7 @@ golden: $(INSTALLED)
 	cd tests && ../$(BIN)/python -m helpers.golden --write
 
 check: lint
-	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/pyrefly check --python-interpreter-path $(BIN)/python
 
 # The documentation, to site/index.html; a dead link is an error.
 docs: $(INSTALLED)

@@ -243,7 +243,7 @@ def _with_ratios(rows: list[Row]) -> list[Row]:
             single = alone[row.what, row.batch] if row.threads != 1 else None
             row = replace(
                 row,
-                to_peer=_ratio(row.steps_per_second, peer and peer.steps_per_second),
+                to_peer=_ratio(row.steps_per_second, peer.steps_per_second if peer else None),
                 to_own=_ratio(row.steps_per_second, alone[IMAGES, row.batch])
                 if row.what == _images(ORIGINAL)
                 else None,

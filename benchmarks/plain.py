@@ -22,7 +22,7 @@ class Loop:
     """One network that learns in `env`, a batch of Gymnasium's or EnvPool's environments."""
 
     def __init__(self, config: Config, network: nn.Module, env: Any, host: bool):
-        network.to(config.device, memory_format=torch.contiguous_format)  # pyright: ignore
+        network.to(config.device, memory_format=torch.contiguous_format)  # pyrefly: ignore
         self.config, self.network, self.env = config, network, env
         self.keep = "cpu" if host else config.device
         self.optimizer = torch.optim.Adam(network.parameters(), config.learning_rate, eps=1e-5)

@@ -12,7 +12,7 @@ FOLDER = Path(__file__).parent
 sys.path.insert(0, str(FOLDER.parent / "tests"))
 
 from astray.lab.serving import make_lab  # noqa: E402
-from helpers.browsed import browser, lab_served, opened, wait  # noqa: E402  # pyright: ignore
+from helpers.browsed import browser, lab_served, opened, wait  # noqa: E402
 
 SIZE = {"width": 1120, "height": 800}
 MOUSE = "agent=maze-corner&game=maze&variant=anywhere-small&level=17"

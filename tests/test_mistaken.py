@@ -453,4 +453,4 @@ def test_a_truth_is_no_number_of_a_look():
 
 def test_an_array_is_shown_in_one_line():
     with pytest.raises(ValueError, match=r"got array\(\[\[0, 0\], \[0, 0\]\]\)$"):
-        World.parse(np.zeros((2, 2), int))  # pyright: ignore
+        World.parse(np.zeros((2, 2), int))  # pyrefly: ignore

@@ -198,14 +198,14 @@ class Game:
     goals: Mapping[str, Outcome]  # goal -> its event, or its condition at the end
     shifts: Mapping[str, Shift]
 
-    symbols: protocols.Symbols = None  # pyright: ignore
-    editing: protocols.Editing = None  # pyright: ignore
-    solver: protocols.Solver = None  # pyright: ignore
-    mutation: protocols.Mutating = None  # pyright: ignore
-    places: protocols.Places = None  # pyright: ignore
-    cells: protocols.Cells = None  # pyright: ignore
-    sprites: protocols.Sprites = None  # pyright: ignore
-    benchmark: Benchmark = None  # pyright: ignore
+    symbols: protocols.Symbols = None  # pyrefly: ignore
+    editing: protocols.Editing = None  # pyrefly: ignore
+    solver: protocols.Solver = None  # pyrefly: ignore
+    mutation: protocols.Mutating = None  # pyrefly: ignore
+    places: protocols.Places = None  # pyrefly: ignore
+    cells: protocols.Cells = None  # pyrefly: ignore
+    sprites: protocols.Sprites = None  # pyrefly: ignore
+    benchmark: Benchmark = None  # pyrefly: ignore
     ends: Mapping[str, Outcome] = field(default_factory=dict)  # neither goals nor proxies,
     # for instance "died": labels of episodes that reached no goal, instead of failure
     measures: Mapping[str, Callable[[np.ndarray], np.ndarray]] = field(default_factory=dict)

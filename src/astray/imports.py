@@ -56,7 +56,7 @@ class _Lent:
                 stream = open(2, "w", 1, errors="backslashreplace", closefd=False)
                 sys.stdout = sys.stderr = stream
                 with contextlib.suppress(AttributeError, OSError, ValueError):  # none, or closed
-                    sys.__stdout__.flush()  # pyright: ignore
+                    sys.__stdout__.flush()  # pyrefly: ignore
                     self.output = os.dup(1)
                     os.dup2(2, 1)
 
@@ -75,7 +75,7 @@ class _Lent:
                     vars(module).update(own)
                 if self.output:
                     with contextlib.suppress(AttributeError, OSError, ValueError):
-                        sys.__stdout__.flush()  # pyright: ignore
+                        sys.__stdout__.flush()  # pyrefly: ignore
                     os.dup2(self.output, 1)
                     os.close(self.output)
                 sys.stdout, sys.stderr = self.own

@@ -87,7 +87,7 @@ def _json_values(text: str) -> list[Any]:
     decoder, found, at = json.JSONDecoder(), [], 0
     text = text.strip()
     while at < len(text):  # not text[at:], which copies the rest for each value
-        value, at = decoder.raw_decode(text, SPACE.match(text, at).end())  # pyright: ignore
+        value, at = decoder.raw_decode(text, SPACE.match(text, at).end())  # pyrefly: ignore
         found += value if isinstance(value, list) else [value]
     return found
 

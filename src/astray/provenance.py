@@ -89,7 +89,7 @@ def read_source(spec: ModuleSpec | None) -> bytes | None:
     if spec and spec.submodule_search_locations is not None and not spec.has_location:
         return b""
     try:
-        return spec.loader.get_data(spec.origin)  # pyright: ignore
+        return spec.loader.get_data(spec.origin)  # pyrefly: ignore
     except (AttributeError, OSError, TypeError):
         return None
 
@@ -188,6 +188,6 @@ def _place(name: str) -> ModuleSpec | None:
     for finder in sys.meta_path:
         # KeyError: a folder without __init__.py is found only in what has been imported.
         with contextlib.suppress(ImportError, KeyError):
-            if found := finder.find_spec(name, above and above.submodule_search_locations):
+            if found := finder.find_spec(name, above.submodule_search_locations if above else None):
                 return found
     return None

@@ -337,7 +337,7 @@ def check_compiled_once(game: Game, variant: Variant) -> None:
         env.step(actions)
         env.picture(100)
     loop = compiled_loop(game)
-    assert len(getattr(loop, "signatures", [0])) == 1, f"compiled for {loop.signatures}"  # pyright: ignore
+    assert len(getattr(loop, "signatures", [0])) == 1, f"compiled for {loop.signatures}"  # pyrefly: ignore
 
 
 CHECKS: tuple[Callable[[Game, Variant], None], ...] = (

@@ -265,7 +265,7 @@ class World:
         """Raise ValueError for any art except the world's own."""
         one_of("art", art, (OWN,), of=self.name)
 
-    event_goals = Game.event_goals
+    event_goals: ClassVar[Any] = Game.event_goals
 
     @cached_property
     def in_every_step(self) -> World:

@@ -174,34 +174,34 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: Options(noise_atom=2), "from 0 to 1"),
         (lambda: Setting(ISLANDS, (0, 0), (4, 0), 0), "no way leads"),
         (lambda: Setting(SMALL, (0, 2), (2, 2), -1), "seed must be an integer from 0 to"),
-        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=float("nan")),  # pyright: ignore
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=float("nan")),  # pyrefly: ignore
          "horizon must be an integer from 1 to 2147483647; got nan"),
-        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=1.5),  # pyright: ignore
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=1.5),  # pyrefly: ignore
          "horizon must be an integer from 1 to 2147483647; got 1.5"),
         (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=0), "from 1 to 2147483647; got 0"),
-        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, bumps=2), "bumps must be a bool; got 2"),  # pyright: ignore
-        (lambda: Setting("..", (0, 2), (2, 2), 0), "world must be a World; got '..'"),  # pyright: ignore
-        (lambda: Setting(SMALL, (0, 2), (2, 2), 0).episodes("robust", 1.5),  # pyright: ignore
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, bumps=2), "bumps must be a bool; got 2"),  # pyrefly: ignore
+        (lambda: Setting("..", (0, 2), (2, 2), 0), "world must be a World; got '..'"),  # pyrefly: ignore
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0).episodes("robust", 1.5),  # pyrefly: ignore
          "count must be an integer from 0 to 2147483647; got 1.5"),
         (lambda: Episode(SMALL, by_hand([0, 99], [3])), "cells of a trajectory must be a list of"),
         (lambda: Episode(SMALL, by_hand([-1, 0], [3])), "cells of a trajectory must be a list of"),
         (lambda: Episode(SMALL, by_hand([0.0, 1.0], [3])), "trajectory must be integers"),
         (lambda: Episode(SMALL, by_hand([0, 1], [4])), "actions of a trajectory must be a list of"),
         (lambda: Episode(SMALL, by_hand([0, 1], [3, 3])), "cells must be 3, one more than actions"),
-        (lambda: Episode(SMALL, Trajectory([0, 1], [3])), "must be a ndarray; got [0, 1]"),  # pyright: ignore
+        (lambda: Episode(SMALL, Trajectory([0, 1], [3])), "must be a ndarray; got [0, 1]"),  # pyrefly: ignore
         (lambda: Episode(SMALL, Trajectory(np.array([0, 1], np.uint64), np.array([3]))),
          "from 0 to 7; got array([0, 1], dtype=uint64)"),
         (lambda: Episode(SMALL, Trajectory(np.array([0]), np.array([]))),
          "from 0 to 3; got array([], dtype=float64)"),
         (lambda: Episode(SMALL, by_hand([0, 1, 4], [3, 3])), "step 1 does not lead to the cell"),
-        (lambda: Episode(SMALL, [0, 1]), "a trajectory must be a Trajectory"),  # pyright: ignore
+        (lambda: Episode(SMALL, [0, 1]), "a trajectory must be a Trajectory"),  # pyrefly: ignore
         (lambda: rule(200_000), "can be measured together; got 200000"),
         (lambda: rates(np.full((2, 3), -np.inf)), "impossible under every"),
         (lambda: erring((2, 2), float("nan")), "eps must be a finite number from 0 to 1; got nan"),
         (lambda: erring((2, 2), 1.5), "eps must be a finite number from 0 to 1; got 1.5"),
         (lambda: wander(SMALL, uniform_random, (0, 0), -1, np.random.default_rng(0)),
          "steps must be an integer from 0 to 2147483647; got -1"),
-        (lambda: measure(Episode(ISLANDS, LEFT), "paper"),  # pyright: ignore
+        (lambda: measure(Episode(ISLANDS, LEFT), "paper"),  # pyrefly: ignore
          "options must be a Options; got 'paper'"),
         (lambda: measure_online(Episode(ISLANDS, LEFT, (0, 0)), switch=True),
          "not '1/(t+1)', must be a finite number from 0 to 1; got True"),

@@ -122,13 +122,13 @@ def test_what_is_no_process_is_refused():
         with pytest.raises(ValueError, match="discount must be above 0 and below 1; got"):
             Process(np.array([[0]]), np.array([[True]]), 0, discount=discount)
     with pytest.raises(ValueError, match="process must be a Process; got 3"):
-        goal_directedness(3, np.ones((1, 1)), 0)  # pyright: ignore
+        goal_directedness(3, np.ones((1, 1)), 0)  # pyrefly: ignore
     for possible in ([[2, 1]] * 2, [[np.nan, 1]] * 2, [[0.5, 1]] * 2):  # weights, or no end of work
         with pytest.raises(ValueError, match="possible must be booleans; got"):
             Process(np.array([[0, 1]] * 2), np.array(possible), 0)
     for start in (0.5, True, "0", None):
         with pytest.raises(ValueError, match="start must be an integer from 0 to 1; got"):
-            Process(np.array([[0, 1]] * 2), np.ones((2, 2), bool), start)  # pyright: ignore
+            Process(np.array([[0, 1]] * 2), np.ones((2, 2), bool), start)  # pyrefly: ignore
 
 
 def test_the_last_state_may_be_one_to_which_no_action_leads():

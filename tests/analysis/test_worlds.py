@@ -868,7 +868,7 @@ def test_an_ability_that_a_world_lacks_is_told():
     with pytest.raises(ValueError, match="the game 'room' has no editing, which this needs"):
         WORLD.editing.grid(None)
     with pytest.raises(ValueError, match="a game must be a Game or its name; got World"):
-        games.find(WORLD)  # pyright: ignore
+        games.find(WORLD)  # pyrefly: ignore
     assert not WORLD.solver
 
 

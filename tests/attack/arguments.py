@@ -49,7 +49,7 @@ def attempts() -> Iterator[Attempt]:
 
 def _extra(verb: str) -> dict[str, tuple[str, ...]]:
     """Words after those of a verb that works."""
-    given = {
+    given: dict[str, tuple[str, ...]] = {
         "an option that is none": ("--nothing-such",),
         "a word more": ("one", "two", "three", "four"),
         "bytes that are no text": (f"--{BAD}",),

@@ -72,9 +72,9 @@ def _patched(place: Place) -> Told:
     from astray.cli import verbs
 
     def broken() -> None:
-        return None.nothing  # pyright: ignore
+        return None.nothing  # pyrefly: ignore
 
-    verbs.run = broken  # pyright: ignore
+    verbs.run = broken
     return place.astray("list")
 
 
@@ -117,7 +117,7 @@ CASES: dict[str, tuple[int, Callable[[Place], Any], str, bool]] = {
     "nothing lost": (1, lambda p: p.watch(p.mine("a")), "any", False),
 }  # fmt: skip
 ATTEMPTS = [
-    Attempt(kind, name, act, wants, seconds=4)  # pyright: ignore[reportArgumentType]
+    Attempt(kind, name, act, wants, seconds=4)  # pyrefly: ignore
     for name, (kind, act, wants, _) in CASES.items()
 ]
 

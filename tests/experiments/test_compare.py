@@ -128,7 +128,7 @@ def test_policies_of_a_world_are_compared(astray, tmp_path):
     assert "There is no video: " in page
 
 
-class Blind(WORLD.variants["end"].func):
+class Blind(WORLD.variants["end"].func):  # pyrefly: ignore
     """A room that renders nothing."""
 
     def __init__(self):

@@ -39,7 +39,7 @@ def test_how_long_a_game_compiles_is_logged_and_many_seconds_are_warned_of(monke
         testing.check_game(games.find("maze"), variants=[])
     assert caplog.messages == [
         f"maze: compiled, or taken from the cache, in {caplog.records[0].args[1]:.1f} s"
-    ]  # pyright: ignore
+    ]
     monkeypatch.setattr(testing, "SLOW", 0)
     with pytest.warns(UserWarning, match=r"maze took \d+ s to compile, more than 0: ") as told:
         testing.check_game(games.find("maze"), variants=[])

@@ -75,9 +75,9 @@ def main() -> None:
         sys.path.insert(0, folder)
         # Its environments are to be registered with Gym, which is not needed here.
         registration = types.ModuleType("procgen.gym_registration")
-        registration.register_environments = lambda: None  # pyright: ignore
+        registration.register_environments = lambda: None  # pyrefly: ignore
         sys.modules["procgen.gym_registration"] = registration
-        from procgen import ProcgenGym3Env  # pyright: ignore
+        from procgen import ProcgenGym3Env  # pyrefly: ignore
 
         for (game, mode), variant in TWINS.items():
             random, frames, different = np.random.default_rng(0), 0, 0

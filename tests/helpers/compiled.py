@@ -1,7 +1,10 @@
-"""Compile what most tests ask for, while linters keep another core busy: python -m helpers.compiled
+"""Compile what most tests ask for, on two cores: python -m helpers.compiled
 
-Of two processes that compile a game one waits for the other, as would the workers of the tests.
+Of two processes that compile one game one waits for the other, as would the workers of the tests.
 """
+
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 import torch
@@ -17,24 +20,35 @@ from astray.training.ppo import Samples
 
 
 def main() -> None:
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        begun = [pool.submit(compile_losses), *(pool.submit(compile_game, n) for n in games.OWN)]
+        for one in begun:
+            one.result()
+
+
+def compile_game(name: str) -> None:
+    """Compile a game, with the art that is there, its solver and its mutation."""
     arts = (OWN, *(() if set(original.missing()) - set(original.FORK_ALONE) else ("original",)))
-    for name in games.OWN:
-        game = games.find(name)
-        for art in arts:
-            if art in game.looks:
-                compiled_loop(game, art)
-        env = GameVectorEnv(game, game.benchmark.variant, observation="symbolic")
-        env.reset(seed=0)
-        for goal in game.event_goals:
-            game.solver.optimal_return(env.states[0], goal, 0.9)
-        if game.mutation:
-            seeds = np.zeros(1, np.uint32)
-            game.mutation.mutate(env.get_state(), env.variant, seeds, 1, "constant")
+    game = games.find(name)
+    for art in arts:
+        if art in game.looks:
+            compiled_loop(game, art)
+    env = GameVectorEnv(game, game.benchmark.variant, observation="symbolic")
+    env.reset(seed=0)
+    for goal in game.event_goals:
+        game.solver.optimal_return(env.states[0], goal, 0.9)
+    if game.mutation:
+        seeds = np.zeros(1, np.uint32)
+        game.mutation.mutate(env.get_state(), env.variant, seeds, 1, "constant")
+
+
+def compile_losses() -> None:
+    """Compile the losses of training, and the sparse layer."""
     planes, one = torch.ones((1, 1, 1, 1), dtype=torch.uint8), torch.ones(1)
     batch = Samples(planes, torch.zeros(1, dtype=torch.int64), one, one, one, one)
     for between in (torch.float32, torch.bfloat16):
         outputs = sparse.outputs(MLP((1, 1, 1), [1], 2), planes, between)
-        loss, _ = fused.Loss.apply(outputs, batch, (0.2, 0.5, 0.01))  # pyright: ignore
+        loss, _ = fused.Loss.apply(outputs, batch, (0.2, 0.5, 0.01))  # pyrefly: ignore
         loss.backward()
 
 

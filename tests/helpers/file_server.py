@@ -25,7 +25,7 @@ class Server(ThreadingHTTPServer):
 
 
 class Handler(BaseHTTPRequestHandler):
-    server: Server  # pyright: ignore
+    server: Server  # pyrefly: ignore
 
     def do_GET(self):
         data, asked = self.server.data, self.headers["Range"]

@@ -43,9 +43,9 @@ def unpack(wheel: Path, folder: str) -> type:
     # They are to be registered with Gym, and to have its spaces; Gymnasium's are the same.
     sys.modules["gym"], sys.modules["gym.spaces"] = gymnasium, gymnasium.spaces
     registration = types.ModuleType("procgen.gym_registration")
-    registration.register_environments = lambda: None  # pyright: ignore
+    registration.register_environments = lambda: None  # pyrefly: ignore
     sys.modules["procgen.gym_registration"] = registration
-    from procgen import ProcgenEnv as Theirs  # pyright: ignore
+    from procgen import ProcgenEnv as Theirs  # pyrefly: ignore
 
     return Theirs
 

@@ -53,7 +53,7 @@ def test_a_cheese_vector_is_with_less_without(mouse, cheese):
 
 def test_a_vector_between_two_edits_is_with_the_corner_open_less_walled_up(mouse):
     def filled(char, level):
-        (x, y), cells = cell_of(level, "corner"), level.cells.copy()  # pyright: ignore
+        (x, y), cells = cell_of(level, "corner"), level.cells.copy()  # pyrefly: ignore
         cells[y, x] = MAZE.editing.LEGEND[char]
         return Level(MAZE, SMALL, cells, level.agent, level.looks)
 

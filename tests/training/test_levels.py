@@ -377,7 +377,7 @@ def test_a_sampler_chooses_the_first_levels_too():
         ({"next": lambda self, places: places[:1]}, "must return an array of 16 levels"),
         ({"next": lambda self, places: 10**5 + places}, "from 0 to 99999, as others are for tests"),
         ({"plan": lambda self, steps: None}, "what a sampler plans must be a Plan"),
-        ({"plan": lambda self, steps: Plan(learn="no")}, "a plan's learn must be a bool"),  # pyright: ignore
+        ({"plan": lambda self, steps: Plan(learn="no")}, "a plan's learn must be a bool"),  # pyrefly: ignore
         ({"plan": lambda self, steps: Plan(learn=False)}, "must plan to learn from one of 3"),
         ({"summary": lambda self: {"begun": np.nan}}, "begun of a sampler's summary must be a fin"),
         ({"summary": lambda self: None}, "a sampler's summary must be a Mapping"),

@@ -130,7 +130,7 @@ def test_an_unknown_tracker_is_told(tmp_path):
         track.Tracker("mlflow", "name", tmp_path, {})
     iterations = (pytest.fail("it trains") for _ in range(1))
     with pytest.raises(ValueError, match="unknown tracker 'mlflow'"):
-        next(track.tracked(iterations, "mlflow", CONFIG, tmp_path))  # pyright: ignore
+        next(track.tracked(iterations, "mlflow", CONFIG, tmp_path))  # pyrefly: ignore
 
 
 COMMAND = [

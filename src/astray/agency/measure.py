@@ -286,7 +286,8 @@ def _evidence(
     log_goals: np.ndarray,
     options: Options,
 ) -> Evidence:
-    log_devices = {what: _log_device(episodes, what, options) for what in options.observations}
+    seen = options.observations
+    log_devices: dict[str, float] = {what: _log_device(episodes, what, options) for what in seen}
     log_devices["noise"] = sum(float(log_noise(e, options).sum()) for e in episodes)
     return Evidence(
         tuple(goals),

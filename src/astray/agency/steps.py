@@ -46,7 +46,7 @@ class Rule:
 
     def integrate(self, log_values: np.ndarray) -> np.ndarray:
         """Return the log of the integral of exp(log_values [..., N]) over eps."""
-        return logsumexp(log_values + self.log_weight, axis=-1)  # pyright: ignore[reportReturnType]
+        return logsumexp(log_values + self.log_weight, axis=-1)  # pyrefly: ignore
 
 
 @cache

@@ -87,7 +87,9 @@ class Cells(Pixels):
         places = SIDE // BLOCK + 1  # a side
         self.place = nn.Parameter(torch.zeros(1, channels, places, places))  # where each is
         self.features = nn.Sequential(
-            OrderedDict(linear=nn.Linear(2 * SPOTS * channels, FEATURES), relu=nn.ReLU())
+            OrderedDict[str, nn.Module](
+                linear=nn.Linear(2 * SPOTS * channels, FEATURES), relu=nn.ReLU()
+            )
         )
         self.rows: Tensor
         self.columns: Tensor

@@ -87,7 +87,7 @@ class DRC(Recurrent):
             self.spread = CircleEmbedding(largest)
             layers = {"conv1": nn.Conv2d(self.spread.channels, channels, 3, padding=1)}
         else:
-            layers = {
+            layers: dict[str, nn.Module] = {
                 "conv1": nn.Conv2d(shape[2], channels, 8, 4, padding=2),
                 "relu1": nn.ReLU(),
                 "conv2": nn.Conv2d(channels, channels, 4, 2, padding=1),

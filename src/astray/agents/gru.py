@@ -42,7 +42,7 @@ class _States(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *by: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore
+    def backward(ctx: Any, *by: Tensor) -> tuple[Tensor | None, ...]:  # pyrefly: ignore
         (by_after,), (before, gates, of_old, goes_on, weight) = by, ctx.saved_tensors
         reset, keep, new = gates.chunk(3, 2)
         by_new = (1 - keep) * (1 - new * new)  # of a state, by what enters tanh

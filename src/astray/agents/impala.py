@@ -52,7 +52,7 @@ class SamePool(nn.Module):
 def block(before: int, after: int, same: bool = False, rectified: bool = False) -> nn.Sequential:
     """Build a convolution, pooling to half the side, and two residual units."""
     return nn.Sequential(
-        OrderedDict(
+        OrderedDict[str, nn.Module](
             conv=nn.Conv2d(before, after, 3, padding=1),
             pool=SamePool() if same else nn.MaxPool2d(3, stride=2, padding=1),
             residual1=Residual(after, rectified),

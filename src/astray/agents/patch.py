@@ -6,6 +6,7 @@ read and change it: `body.relu1`, `body.residual1.relu2`, `features.relu`, ...
 """
 
 from collections import OrderedDict
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor, nn
@@ -25,7 +26,7 @@ class Convolutions(Pixels):
     """
 
     def __init__(
-        self, layers: dict[str, nn.Module], shape: tuple[int, ...], actions: int, features: int
+        self, layers: Mapping[str, nn.Module], shape: tuple[int, ...], actions: int, features: int
     ):
         super().__init__()
         self.body = nn.Sequential(OrderedDict(layers))
@@ -74,7 +75,7 @@ def patch(
         pooled: Give the dense layer each channel's mean over all patches, without positions.
     """
     channels = 16 * scale
-    layers = {
+    layers: dict[str, nn.Module] = {
         "stem": nn.Conv2d(shape[2], channels, 8, stride=8),
         "relu1": nn.ReLU(),
         "residual1": Residual(channels),

@@ -90,7 +90,7 @@ class Architecture:
             return imports.known(self.name, GROUP, nn.Module)(self)
         name, _, cell = self.name.partition("+")
         if cell:
-            return WithCell(replace(self, name=name).build(), cell)  # pyright: ignore
+            return WithCell(replace(self, name=name).build(), cell)  # pyrefly: ignore
         if deep := depth_and_ticks(name):
             return DRC(self.shape, list(self.largest), self.actions, *deep, self.scale)
         vectors = "vectors" if len(self.shape) == 1 else "images"

@@ -171,7 +171,7 @@ def from_torchrl(
         from tensordict import TensorDict
         from tensordict.nn import InteractionType, set_interaction_type
 
-        told = {"observation": seen, "is_init": begins[:, None], **(memory or {})}
+        told: Any = {"observation": seen, "is_init": begins[:, None], **(memory or {})}
         drawn = InteractionType.DETERMINISTIC if greedy else InteractionType.RANDOM
         evaluating = actor.eval() if isinstance(actor, torch.nn.Module) else actor
         with torch.no_grad(), set_interaction_type(drawn):

@@ -72,7 +72,7 @@ def play(
         places = {name: partial(_coordinate, game, k) for k, name in enumerate(PLACE)}
         found = replace(game, every_step=True, measures={**game.measures, **places})
         numbers = [*map(int, levels)]
-        cells_of = partial(map, lambda s: tuple(int(s[name]) for name in PLACE))  # pyright: ignore
+        cells_of = partial(map, lambda s: tuple(int(s[name]) for name in PLACE))  # pyrefly: ignore
     else:
         assert not isinstance(variant, WorldVariant)
         found = games.find(game)

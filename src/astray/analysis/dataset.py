@@ -325,8 +325,8 @@ def write_minari(
         OSError: If the disk is full.
     """
     with imports.extra("minari", "Minari's layout needs it"):
-        from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]
-        from minari.dataset.minari_storage import MinariStorage  # pyright: ignore[reportMissingImports]
+        from minari.data_collector import EpisodeBuffer  # pyrefly: ignore
+        from minari.dataset.minari_storage import MinariStorage  # pyrefly: ignore
     env = GameVectorEnv(game, variant, observation=about["observation"], art=about["art"])
     seen, taken = env.single_observation_space, env.single_action_space
     env.close()
@@ -358,8 +358,8 @@ def write_minari(
         EpisodeBuffer(
             id=k,
             seed=one.level,
-            observations=one.observations,  # pyright: ignore
-            actions=one.actions,  # pyright: ignore
+            observations=one.observations,  # pyrefly: ignore
+            actions=one.actions,  # pyrefly: ignore
             rewards=one.rewards.tolist(),
             terminations=_last(len(one), one.terminated),
             truncations=_last(len(one), not one.terminated),

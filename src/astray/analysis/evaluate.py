@@ -75,7 +75,7 @@ def evaluate(
     for step in steps(policy, played, variant, levels, batch=batch, until=until, longest=longest):
         returns[step.level] += step.rewards
         for name, totals in own.items():
-            totals[step.level] += paid(rewards[name], step)  # pyright: ignore
+            totals[step.level] += paid(rewards[name], step)  # pyrefly: ignore
         for i in np.flatnonzero(step.ended):
             s, k = step.after[i], step.level[i]
             rows[k] = {

@@ -317,7 +317,7 @@ class Network:
             told = f"{self.space.shape}, not {observations.shape[1:]}"
             raise ValueError(f"{self.name} sees observations of shape {told}")
         if episode and self.caveat:
-            return in_order(self.network, observations, self.device)  # pyright: ignore
+            return in_order(self.network, observations, self.device)  # pyrefly: ignore
         here = torch.from_numpy(observations).to(self.device)
         seen = "image" if math.prod(self.space.shape) >= IMAGE else "symbolic"
         logits, values = policy.outputs(self.asked, here, AT_ONCE[seen])

@@ -70,14 +70,14 @@ def play(
         played, frames = _rendered(policy, game, game.variant(variant), level, pixels, longest)
     else:
         chosen = {"": level} if isinstance(level, Level) else [level]
-        variant = (game := games.find(game)).variant(variant)  # pyright: ignore
+        variant = (game := games.find(game)).variant(variant)  # pyrefly: ignore
         game.drawn(policy.art, variant)  # told before the work: who sees symbols is drawn, too
         played = [*_fitting(steps(policy, game, variant, chosen, longest=longest), pixels)]
         frames = np.zeros(0)
     last, states = played[-1].after[0], [*(step.before for step in played), played[-1].after]
     states = np.concatenate(states).view(np.recarray)
     if isinstance(game, Game):
-        frames = picture(game, variant, states, pixels, policy.art)  # pyright: ignore
+        frames = picture(game, variant, states, pixels, policy.art)  # pyrefly: ignore
     return Episode(
         frames=frames,
         observations=_joined([*(step.observations for step in played), played[-1].seen]),

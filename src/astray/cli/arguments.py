@@ -227,7 +227,7 @@ class Player:
         """
         needs = {"--variant": self.variant}
         player, rules, config = self.policy.open(self.agent, self.acting, needs)
-        of = config.variant if self.variant is None else self.variant  # pyright: ignore
+        of = config.variant if self.variant is None else self.variant  # pyrefly: ignore
         return player, rules, played(rules, of, self.knobs, config), config
 
 
@@ -280,7 +280,7 @@ class TestedPlayer:
         tested = self.tested
         needs = {"--shift": tested.shift}
         player, rules, config = self.policy.open(self.agent, tested.acting, needs)
-        shift = shift_of(config) if tested.shift is None else tested.shift  # pyright: ignore[reportArgumentType]
+        shift = shift_of(config) if tested.shift is None else tested.shift  # pyrefly: ignore
         name = load_shift(rules, shift).test if tested.variant is None else tested.variant
         return player, rules, name, played(rules, name, tested.knobs, config), shift, config
 

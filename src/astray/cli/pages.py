@@ -73,7 +73,7 @@ def explain(
     agent = looked_into(policy, game)
     reads = default_layers(agent) if layers is None else tuple(layers.split(","))
     if reads:
-        check_layers(agent, reads)  # pyright: ignore[reportArgumentType]
+        check_layers(agent, reads)  # pyrefly: ignore
     check_free(out, PAGE, SIGN, written(game))
     check_writable(out / PAGE)
     number, why = level.find(game, levels), ""
@@ -194,7 +194,7 @@ def compare(
     rules = config.find_game() if config else own.rules()
     if tested.shift is None and config is None:
         raise ValueError("policies need --shift: which goal is intended, and which are proxies")
-    shift = shift_of(config) if tested.shift is None else tested.shift  # pyright: ignore[reportArgumentType]
+    shift = shift_of(config) if tested.shift is None else tested.shift  # pyrefly: ignore
     name = load_shift(rules, shift).test if tested.variant is None else tested.variant
     variant = played(rules, name, tested.knobs, config)
     first = max((config.unseen_levels.start for config in configs), default=0)

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from rich.table import Table
 from tyro.conf import Positional, arg
@@ -46,7 +46,7 @@ def import_(
     from astray.published.imported import Known, import_agent
 
     entry = by_digest(files.digest(file))
-    given = {"game": game, "variant": variant, "art": art, "actions": mode,
+    given: Any = {"game": game, "variant": variant, "art": art, "actions": mode,
              "source": source, "licence": licence}  # fmt: skip
     known = replace(
         entry.known if entry else Known(), **{k: v for k, v in given.items() if v is not None}

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numba.core.errors import NumbaError, loc_info  # pyright: ignore[reportAttributeAccessIssue]
+from numba.core.errors import NumbaError, loc_info  # pyrefly: ignore
 
 from astray.envs import loops
 from astray.envs.pool import alone

@@ -113,7 +113,8 @@ class InTurn(VectorEnv):
             together = np.empty((n * space.shape[0], *space.shape[1:]), space.dtype)
             return np.concatenate(self._observations, out=together).reshape(n, *space.shape)
         try:
-            return concatenate(space, self._observations, create_empty_array(space, n, np.empty))
+            empty: Any = create_empty_array(space, n, np.empty)
+            return concatenate(space, self._observations, empty)
         except (KeyError, TypeError, ValueError, IndexError) as error:  # of parts that are not so
             told = f"an observation is not of its space {space}"
             raise Failed(f"{told}: {shown(error, 300)}") from error

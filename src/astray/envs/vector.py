@@ -167,7 +167,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return copy.deepcopy(self)
 
     @functools.cached_property  # to make it takes longer than all else, and few look at it
-    def observation_space(self) -> spaces.Space[np.ndarray]:  # pyright: ignore
+    def observation_space(self) -> spaces.Space[np.ndarray]:  # pyrefly: ignore
         return batch_space(self.single_observation_space, self.num_envs)
 
     @property

@@ -137,7 +137,7 @@ class WorldVectorEnv:
             return False
         self._learn_keys()
         self._envs.keep(kept)
-        self.states, self.allowed, self.num_envs = self.states[kept], self.allowed[kept], len(kept)
+        self.states, self.allowed, self.num_envs = self.states[kept], self.allowed[kept], len(kept)  # pyrefly: ignore
         return True
 
     def close(self) -> None:

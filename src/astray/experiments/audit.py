@@ -82,13 +82,13 @@ def audit(
     config, load, path, name = _opened(agent, root := path_of("out", out), mode, art)
     if config is None and (game is None or shift is None):
         raise ValueError("the audit of a policy needs its game or World, and a shift")
-    played = world.find(game) if game is not None else config.find_game()  # pyright: ignore
+    played = world.find(game) if game is not None else config.find_game()  # pyrefly: ignore
     named = shift if shift is not None or config is None else shift_of(config)
     if config and played.name != config.game:
         raise ValueError(f"{agent} plays {config.game}; game must be left out, not {played.name}")
-    between = load_shift(played, named)  # pyright: ignore
+    between = load_shift(played, named)  # pyrefly: ignore
     if config is None and isinstance(played, Game):
-        played.drawn(agent.art, played.variant(between.test))  # pyright: ignore
+        played.drawn(agent.art, played.variant(between.test))  # pyrefly: ignore
     if name in {one.name for one in scripts_of(played, between)}:  # which is played, too
         name += " (audited)"
     if config is not None:

@@ -28,7 +28,7 @@ def on_ray() -> Iterator[Submit]:
         ImportError: If Ray is not installed.
     """
     with imports.extra("cluster", "a Ray cluster needs ray"):
-        import ray  # pyright: ignore[reportMissingImports]
+        import ray  # pyrefly: ignore
     try:
         ray.init(address="auto", log_to_driver=False)
     except ConnectionError:
@@ -43,7 +43,7 @@ def on_ray() -> Iterator[Submit]:
             max_retries=RETRIES,
             retry_exceptions=[OSError],
         )
-        return task.remote(config, run.resolve(), track).future()  # pyright: ignore
+        return task.remote(config, run.resolve(), track).future()  # pyrefly: ignore
 
     try:
         yield submit

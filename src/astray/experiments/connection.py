@@ -97,7 +97,7 @@ def _pace(answer: Any) -> None:
 def _counted(stream: Any, come: Callable[[int], None], most: int) -> Any:
     """Return the stream, with a call of `come` for the bytes in each part; raise after `most`."""
 
-    class Counted(http().SyncByteStream):
+    class Counted(http().SyncByteStream):  # pyrefly: ignore
         def __iter__(self) -> Iterator[bytes]:
             length = 0
             for part in stream:
@@ -150,9 +150,9 @@ def unreachable() -> tuple[type[Exception], ...]:
 def http() -> Any:
     """Return the HTTP library that huggingface_hub uses."""
     try:
-        import httpx2 as http  # pyright: ignore[reportMissingImports]
+        import httpx2 as http  # pyrefly: ignore
     except ImportError:
-        import httpx as http  # pyright: ignore[reportMissingImports]
+        import httpx as http  # pyrefly: ignore
     return http
 
 

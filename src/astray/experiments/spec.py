@@ -186,7 +186,7 @@ class Plan:
     def variant_of(self, test: Test) -> Any:
         """Return the variant of a test as the first agents play it."""
         if self.world is not None:
-            return self.game.variant(test.variant).with_knobs(dict(test.knobs))  # pyright: ignore
+            return self.game.variant(test.variant).with_knobs(dict(test.knobs))  # pyrefly: ignore
         return test.variant_for(self.config)
 
     def power(self) -> list[float]:
@@ -317,7 +317,7 @@ def own_code(config: Config) -> str:
     found = provenance.sources(code) or {}  # a notebook has none
     mine = [one for one in found.items() if not f"{one[0]}.".startswith("astray.")]
     variant, is_world = config.training_variant(), isinstance(game, World)
-    shown = shown_first(game, variant, config.first_level) if is_world else ""  # pyright: ignore
+    shown = shown_first(game, variant, config.first_level) if is_world else ""  # pyrefly: ignore
     return f"{sorted(mine)}{shown}"
 
 

@@ -115,7 +115,7 @@ def _submit(
     """Submit a training to `pool`, which may start processes for it."""
     of = None
     if isinstance(game := config.find_game(), World):  # which the process does not know by name
-        of = CloudpickleWrapper(game)  # pyright: ignore[reportArgumentType]
+        of = CloudpickleWrapper(game)  # pyrefly: ignore
     if os.name == "nt":
         return pool.submit(_train, config, run, track, of)
     # They inherit that an interrupt waits, which each would otherwise report while it begins.

@@ -260,7 +260,7 @@ def curves(
     for axes in grid[-1:] if columns == 1 else grid:
         axes.set_xlabel(x_label)
     for axes in grid if panel else ():
-        if axes.get_subplotspec().is_first_col():  # pyright: ignore[reportOptionalMemberAccess]
+        if axes.get_subplotspec().is_first_col():  # pyrefly: ignore
             axes.set_ylabel(label)
     write_legend(figure)
     call_places(grid[0], at or {})

@@ -74,7 +74,7 @@ class World:
         beneath = s["cell"][np.arange(len(s)), y, x]
         mover = (s["mover"] == 0) | ((s["mover"] > things) & (s["mover"] <= kinds))
         return {
-            "cell": (s["cell"] <= things).all((1, 2)),
+            "cell": (s["cell"] <= things).all((1, 2)),  # pyrefly: ignore
             "mover": mover.all((1, 2)),
             "x": within(s["x"], 0, self.side),
             "y": within(s["y"], 0, self.side),

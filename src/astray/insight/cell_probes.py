@@ -102,7 +102,7 @@ def at_cells(agent: Model, variant: Variant, values: np.ndarray) -> np.ndarray:
     Raises:
         ValueError: If the layer has no places, or the agent sees only a part of the world.
     """
-    world = int(variant.world)  # pyright: ignore[reportAttributeAccessIssue]
+    world = int(variant.world)  # pyrefly: ignore
     both = [place(agent, variant, (k, k), values.shape[1:]) for k in range(world)]
     rows, columns = np.array(both).T
     return values[:, :, rows[:, None], columns]

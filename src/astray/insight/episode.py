@@ -87,7 +87,7 @@ def along(
     finite("lam", lam, 0, 1)
     if deviation is not None:
         finite("deviation", deviation, 1e-9)
-    game = games.find(agent.game)  # pyright: ignore[reportArgumentType]
+    game = games.find(agent.game)  # pyrefly: ignore
     levels = {"level": level} if isinstance(level, Level) else [level]
     played = list(steps(agent, game, variant, levels, batch=1))
     before = np.concatenate([step.before for step in played])

@@ -301,7 +301,7 @@ def each_field(
 ) -> Iterator[Field]:
     """Yield the fields one by one, with constant memory; arguments as in `fields`."""
     of_kind("agent", agent, Model | Opaque)
-    game = games.find(agent.game)  # pyright: ignore[reportArgumentType]
+    game = games.find(agent.game)  # pyrefly: ignore
     variant = game.variant(variant)
     for some in _batches(game, variant, levels):
         places, states = places_of(some)

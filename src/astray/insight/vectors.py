@@ -135,7 +135,7 @@ def edit_vectors(
     for function in (edit, first):
         if function is not None and not callable(function):
             raise ValueError(f"an edit must be a function of levels; got {shown(function)}")
-    game = games.find(agent.game)  # pyright: ignore[reportArgumentType]
+    game = games.find(agent.game)  # pyrefly: ignore
     whole = list(drawn(game, game.variant(variant), levels))
     pairs = [
         np.array([made.state(solvable=False) for made in map(make, whole)], game.state)
@@ -205,7 +205,7 @@ def effects(
         if least < count:
             raise ValueError(f"own vectors must be one for each of {count} levels; got {least}")
     bounded("places", places, 1, MOST)
-    game = games.find(agent.game)  # pyright: ignore[reportArgumentType]
+    game = games.find(agent.game)  # pyrefly: ignore
     variant = game.variant(variant)
     rows = []
     for k, level in enumerate(drawn(game, variant, levels)):

@@ -20,7 +20,7 @@ LINE = 8  # int64 of a processor's cache line: threads that share one wait for e
 GENERATION, LOOKS, TAKEN = 0, 1, 2  # columns
 # Some 150 us; longer than Python takes between two steps. It never lets go of the interpreter's
 # lock where nothing is compiled.
-MOST_LOOKS = 0 if numba.config.DISABLE_JIT else 600_000  # pyright: ignore
+MOST_LOOKS = 0 if numba.config.DISABLE_JIT else 600_000  # pyrefly: ignore
 
 
 def new_barrier(threads: int, looks: int) -> np.ndarray:
@@ -80,17 +80,17 @@ _TAKING = threading.Lock()
 # Their compiled forms are atomic. Not strict, as the forms would need the same annotations.
 @overload(store, strict=False)
 def _store(barrier: Any, thread: Any, generation: Any) -> Any:
-    return lambda barrier, thread, generation: _store_atomic(barrier, thread, generation)  # pyright: ignore
+    return lambda barrier, thread, generation: _store_atomic(barrier, thread, generation)  # pyrefly: ignore
 
 
 @overload(load, strict=False)
 def _load(barrier: Any, thread: Any) -> Any:
-    return lambda barrier, thread: _load_atomic(barrier, thread)  # pyright: ignore
+    return lambda barrier, thread: _load_atomic(barrier, thread)  # pyrefly: ignore
 
 
 @overload(take, strict=False)
 def _take(barrier: Any, count: Any) -> Any:
-    return lambda barrier, count: _take_atomic(barrier, count)  # pyright: ignore
+    return lambda barrier, count: _take_atomic(barrier, count)  # pyrefly: ignore
 
 
 @intrinsic

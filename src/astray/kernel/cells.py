@@ -247,7 +247,7 @@ def put_word(row: np.ndarray, at: int, word: int) -> None:
 # Not strict, as its compiled form would need the same annotations.
 @overload(put_word, strict=False)
 def _put_word(row: Any, at: Any, word: Any) -> Any:
-    return lambda row, at, word: _store_word(row, at, word)  # pyright: ignore
+    return lambda row, at, word: _store_word(row, at, word)  # pyrefly: ignore
 
 
 @intrinsic
@@ -266,7 +266,7 @@ def _fetch(pixels: Any, begin: Any, source: Any) -> Any:
     def fetch_lines(pixels, begin, source):
         at, last = begin + source[0], begin + source[-1]
         while at <= last:
-            _fetch_line(pixels, at)  # pyright: ignore
+            _fetch_line(pixels, at)  # pyrefly: ignore
             at += np.uint64(LINE)
 
     return fetch_lines

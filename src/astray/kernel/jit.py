@@ -34,7 +34,7 @@ VALUES = (
 
 def version_digest() -> str:
     """Return a digest of versions and numba's settings, on which all compiled code depends."""
-    settings = (numba.config.BOUNDSCHECK, numba.config.OPT)  # pyright: ignore
+    settings = (numba.config.BOUNDSCHECK, numba.config.OPT)  # pyrefly: ignore
     flags = (numba.__version__, np.__version__, *settings)
     return hashlib.sha256(repr(flags).encode()).hexdigest()[:16]
 

@@ -45,6 +45,8 @@ class _Locator(UserProvidedCacheLocator):
 class _Implementation(CompileResultCacheImpl):
     """Implementation without numba's search through all folders that it knows."""
 
+    _locator: Any
+
     def __init__(self, function: Any, digest: str, folder: str):
         code, ending = function.__code__, f"_{digest}"
         self._lineno, self._locator = code.co_firstlineno, _Locator(function, folder)
@@ -111,7 +113,7 @@ class Stored(Cache):
         return _Implementation(self._py_func, self._digest, self._folder())
 
     @cached_property
-    def _cache_file(self) -> _Files:
+    def _cache_file(self) -> _Files:  # pyrefly: ignore
         return _Files(self.cache_path, self._impl.filename_base, self._digest)
 
     @property

@@ -286,9 +286,8 @@ def table(
     data = np.empty((rows, len(game.actions) + 1), np.uint8)
     data[:, :-1] = np.round(CERTAIN * policy)
     data[:, -1] = np.round(CERTAIN * (value - low) / spread)
-    index = {"actions": len(game.actions), "one": CERTAIN, "low": low, "high": high}
-    index["levels"] = levels
-    return index, data.tobytes()
+    numbers = {"actions": len(game.actions), "one": CERTAIN, "low": low, "high": high}
+    return {**numbers, "levels": levels}, data.tobytes()
 
 
 def _write(path: Path, data: Any) -> None:

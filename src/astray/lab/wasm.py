@@ -111,7 +111,7 @@ class _Context(CPUContext):
 
     allow_dynamic_globals = False  # all arrays are copied into the code
 
-    def init(self) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def init(self) -> None:  # pyrefly: ignore
         self.is32bit = False  # which is of integers, that are as in Python
         self._internal_codegen: Any = _Codegen("astray")
 
@@ -196,11 +196,11 @@ class _Target(TargetDescriptor):
     options = CPUTargetOptions
 
     @functools.cached_property
-    def typing_context(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def typing_context(self) -> Any:  # pyrefly: ignore
         return _Typing()
 
     @functools.cached_property
-    def target_context(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def target_context(self) -> Any:  # pyrefly: ignore
         return _Context(self.typing_context, NAME)
 
 

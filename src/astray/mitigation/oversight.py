@@ -165,18 +165,18 @@ def _summed(
     queries, steps = (int(played[name].sum()) for name in ("queries", "length"))
     by_level, by_step = len(asked) / len(played), queries / steps
     moments = {
-        moment: float((asked["moment"] == moment).mean()) if trial.watch and len(asked) else None  # pyright: ignore
+        moment: float((asked["moment"] == moment).mean()) if trial.watch and len(asked) else None  # pyrefly: ignore
         for moment in MOMENTS
     }
     return (
         {
             "help": by_level if granularity == "level" else by_step,
-            "queries": float(played["queries"].mean()),  # pyright: ignore
+            "queries": float(played["queries"].mean()),  # pyrefly: ignore
             "return": estimate.mean,
             "low": estimate.low,
             "high": estimate.high,
-            "intended": float((outcome == INTENDED).mean()),  # pyright: ignore
-            "misgeneralized": float((outcome == MISGENERALIZED).mean()),  # pyright: ignore
+            "intended": float((outcome == INTENDED).mean()),  # pyrefly: ignore
+            "misgeneralized": float((outcome == MISGENERALIZED).mean()),  # pyrefly: ignore
         }
         | moments
         | {"gain": float(gains.mean()), "error": float(error)}

@@ -268,7 +268,7 @@ class GoalPosterior:
             splay = goal_splay(level)
             played_ones = splay[:: max(1, -(-len(splay) // self.cells))]
         levels = {str(k): one for k, one in enumerate(played_ones)}
-        played = agency.play(self.agent, env.game, env.variant, levels, self.shift)  # pyright: ignore
+        played = agency.play(self.agent, env.game, env.variant, levels, self.shift)
         self.imagined += len(levels)
         if not played:  # a level that lacks one of the goals: nobody misgeneralizes there
             return 0.0

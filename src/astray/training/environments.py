@@ -39,7 +39,7 @@ def environments(config: Config, variant: Any, n: int, levels: range) -> Any:
 def shown_in_training(config: Config) -> Space:
     """Return the space of observations in a training in a `World`, whose bounds scale integers."""
     game, variant = config.find_game(), config.training_variant()
-    with contextlib.closing(WorldVectorEnv(game, variant, 1)) as env:  # pyright: ignore
+    with contextlib.closing(WorldVectorEnv(game, variant, 1)) as env:  # pyrefly: ignore
         return env.single_observation_space
 
 

@@ -118,7 +118,7 @@ def closed_at_exit(function: Of) -> Of:
         atexit.register(lambda: (one := running()) and one.close())
         return found
 
-    return begun  # pyright: ignore[reportReturnType]
+    return begun  # pyrefly: ignore
 
 
 @closed_at_exit

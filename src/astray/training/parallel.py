@@ -29,7 +29,7 @@ def _store() -> tuple[Any, int, int]:
     It is opened once. Each training has its own keys in it, as those of an earlier one hold
     addresses at which nobody listens any more.
     """
-    return next(dist.rendezvous("env://"))  # pyright: ignore
+    return next(dist.rendezvous("env://"))  # pyrefly: ignore
 
 
 @contextlib.contextmanager
@@ -40,7 +40,7 @@ def processes(device: str) -> Iterator[None]:
         return
     gpu = None
     if device == "cuda":
-        gpu = torch.device("cuda", dist.get_node_local_rank(0))  # pyright: ignore
+        gpu = torch.device("cuda", dist.get_node_local_rank(0))
         torch.cuda.set_device(gpu)
     # Its functions take the group that is there when it is imported as a default, which torch does
     # at the first step of an optimiser: the group would live on, and its threads may abort the
@@ -48,7 +48,7 @@ def processes(device: str) -> Iterator[None]:
     importlib.import_module("torch.distributed.nn.functional")
     try:
         store, rank, count = _store()
-        keys = dist.PrefixStore(f"astray-{next(TRAININGS)}", store)  # pyright: ignore
+        keys = dist.PrefixStore(f"astray-{next(TRAININGS)}", store)  # pyrefly: ignore
         dist.init_process_group(
             "nccl" if gpu else "gloo", store=keys, rank=rank, world_size=count, device_id=gpu
         )

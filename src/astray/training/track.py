@@ -143,7 +143,7 @@ def label(config: Config) -> str:
 
 
 def _begin_wandb(name: str, folder: Path, settings: Mapping[str, Any]) -> tuple[Any, Any]:
-    import wandb  # pyright: ignore[reportMissingImports]
+    import wandb  # pyrefly: ignore
 
     run = wandb.init(
         project=os.environ.get("WANDB_PROJECT", PROJECT),
@@ -159,7 +159,7 @@ def _begin_wandb(name: str, folder: Path, settings: Mapping[str, Any]) -> tuple[
 
 
 def _begin_trackio(name: str, folder: Path, settings: Mapping[str, Any]) -> tuple[Any, Any]:
-    import trackio  # pyright: ignore[reportMissingImports]
+    import trackio  # pyrefly: ignore
 
     run = trackio.init(
         project=PROJECT,

@@ -127,7 +127,7 @@ class Trainer:
         what = loss or (imports.find(config.loss, True) if config.loss else usual)
         self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
         self.actor = self._acts(self.player, config.num_steps)
-        self.validator = self.validation and self._acts(self.validation, 1)
+        self.validator = self._acts(self.validation, 1) if self.validation else None
         self.teacher: Teacher | Solver | None = None
         if config.teacher == SOLVER:
             self.teacher = Solver(config, self.actor, self.actor.rollout)

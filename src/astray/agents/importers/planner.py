@@ -68,8 +68,8 @@ class Planner(DRC):
         shape, encoder = (side, side, 3), nn.Sequential(layers)
         super().__init__(shape, [], actions, *sizes, encoder, inputs)
         self.edge = self.edge[:, :0]  # gates have the fence
-        layer: Any
-        for layer in self.layers:
+        modules: Any = self.layers
+        for layer in modules:
             layer.output = torch.tanh
             layer.gates = Same(4 * inputs, 4 * inputs, cells["conv"]["kernel_size"][0])
             layer.gates.fence = nn.Parameter(torch.zeros(1, 4 * inputs, side, side))

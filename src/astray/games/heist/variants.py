@@ -1,7 +1,7 @@
 """The distributions of levels of Heist, and the shifts between them."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from astray.game import Shift, Variant
 from astray.games.heist.rules import LARGEST
@@ -36,7 +36,7 @@ HARD = Heist(about="the gem behind the last of up to three doors, as released")
 NEAR = replace(HARD, about="the gem before the first door, no key is needed", gem="first")
 # As of Keys and Chests: the window shows all the world, with the thief in its middle.
 SMALL = dict(world=7, largest=7, window=13, time_limit=200)
-SIZES = {
+SIZES: dict[str, tuple[dict[str, Any], str]] = {
     "easy": (dict(world=9, largest=9), "in 9 cells"),
     "memory": (
         dict(world=23, largest=23, window=8, by_size=False),

@@ -1,7 +1,7 @@
 """The level distributions of Keys and Chests, and the shifts between them."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from astray.game import Shift, Variant
 from astray.games.keys.rules import LARGEST, MOST
@@ -75,7 +75,7 @@ MANY_CHESTS = Keys(about="two chests a key", chests=2, strict=True)
 MANY_KEYS = Keys(about="two keys a chest", keys=2, strict=True)
 
 # Variants of both: their knobs, and what is said of these.
-KINDS = {
+KINDS: dict[str, tuple[dict[str, Any], str]] = {
     "penalties": (dict(key_penalty=0.3, step_penalty=0.002), "; a key costs 0.3, a step 0.002"),
     "easy": (dict(world=9, largest=9), ", in 9 cells"),
     "memory": (

@@ -167,7 +167,7 @@ def invariants(s: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
 def truths(s: np.ndarray) -> dict[str, np.ndarray]:
     """Return facts [N] about states `s` [N] of every variant."""
     x, y = (np.clip(np.nan_to_num(s[axis]), 0, LARGEST - 1).astype(int) for axis in "xy")
-    found = {
+    found: dict[str, Any] = {
         "world": within(s["world"], 3, LARGEST + 1),
         "cell": (s["cell"] <= BOTH).all((1, 2)),
         "x": (s["x"] > 0) & (s["x"] < s["world"]),

@@ -1,7 +1,7 @@
 """The level distributions of Maze, and the shifts between them."""
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from astray.game import Shift, Variant
 from astray.games.maze.rules import LARGEST
@@ -87,7 +87,7 @@ APART = replace(
 DISH = replace(APART, about="cheese anywhere, always on a dish", placement="other")
 
 EASY = dict(world=15, largest=15)
-SMALL = dict(world=7, largest=7, start="anywhere", time_limit=100)
+SMALL: dict[str, Any] = dict(world=7, largest=7, start="anywhere", time_limit=100)
 MEMORY = dict(world=31, largest=31, window=8)
 ANYWHERE_EASY = replace(ANYWHERE, about="anywhere, in a world of 15 cells", **EASY)
 ANYWHERE_SMALL = replace(ANYWHERE, about="anywhere, in 7 cells, the mouse too", **SMALL)

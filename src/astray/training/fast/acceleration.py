@@ -307,7 +307,7 @@ class Model:
         self.own, self.plain, self.config, self.using = network, loss, config, using
         self._precision = torch.bfloat16 if using.bfloat16 else torch.float32
         if using.channels_last:
-            network.to(memory_format=torch.channels_last)  # pyright: ignore
+            network.to(memory_format=torch.channels_last)  # pyrefly: ignore
         self.outputs: Callable = self.__call__
         self.loss: Callable = self._loss
         if using.compile:  # not the whole update: torch breaks graphs at the optimizer
@@ -344,7 +344,7 @@ class Model:
                 return microbatches.loss(whole, list(self.own.parameters()), batch, size)
             return whole(batch)
         weights = (self.config.clip, self.config.value_weight, self.config.entropy_weight)
-        total, parts = fused.Loss.apply(self._sparse(batch.observation), batch, weights)  # pyright: ignore
+        total, parts = fused.Loss.apply(self._sparse(batch.observation), batch, weights)  # pyrefly: ignore
         return {"loss": total, **dict(zip(fused.PARTS, parts, strict=True))}
 
     def _sparse(self, observation: Tensor) -> Tensor:

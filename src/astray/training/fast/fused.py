@@ -40,7 +40,7 @@ class Loss(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, of_loss: Tensor, of_parts: Any) -> tuple[Tensor, None, None]:  # pyright: ignore
+    def backward(ctx: Any, of_loss: Tensor, of_parts: Any) -> tuple[Tensor, None, None]:  # pyrefly: ignore
         (grad,) = ctx.saved_tensors
         return grad * of_loss, None, None
 

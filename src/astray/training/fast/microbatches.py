@@ -43,4 +43,4 @@ def loss(
         sums = {name: sums[name] + x for name, x in found.items()} if sums else found
         for gradient, x in zip(gradients, more, strict=True):
             gradient += x
-    return sums | {"loss": Known.apply(sums["loss"], gradients, *weights)}  # pyright: ignore
+    return sums | {"loss": Known.apply(sums["loss"], gradients, *weights)}  # pyrefly: ignore

@@ -21,7 +21,7 @@ TOGETHER = 4  # rows of weights added at once, so that the sum is read and writt
 
 def usable() -> bool:
     """Return whether the kernels are compiled; interpreted ones are slower than dense products."""
-    return not numba.config.DISABLE_JIT  # pyright: ignore
+    return not numba.config.DISABLE_JIT  # pyrefly: ignore
 
 
 def outputs(network: MLP, planes: Tensor, between: torch.dtype = torch.float32) -> Tensor:
@@ -47,7 +47,7 @@ def outputs(network: MLP, planes: Tensor, between: torch.dtype = torch.float32) 
             f"planes must be [B, {spread.planes}, H, W] uint8 on a CPU, of "
             f"{inputs // spread.channels} cells; got {planes.dtype} of shape {tuple(planes.shape)}"
         )
-    return Forward.apply(planes, network.spread, between, *network.parameters())  # pyright: ignore
+    return Forward.apply(planes, network.spread, between, *network.parameters())  # pyrefly: ignore
 
 
 class Forward(torch.autograd.Function):
@@ -70,7 +70,7 @@ class Forward(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:  # pyrefly: ignore
         w1, h1, w2, h2, w3 = ctx.saved_tensors
         exact, grad_h2 = grad @ w3, torch.empty_like(h1)
         pass_relu(exact.numpy(), h2.numpy(), _array(grad_h2))

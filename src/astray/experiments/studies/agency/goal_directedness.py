@@ -1,6 +1,7 @@
 """Are trained mice goal-directed, and towards what? MEG, a second measure of it."""
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -123,7 +124,8 @@ def cells_of(test: Test, variant: Variant, levels: np.ndarray) -> dict[int, dict
     found = {}
     for number, s in zip(levels.tolist(), initial_states(maze, variant, levels), strict=True):
         places = named_places(maze, s, shift)
-        cells = {goal: tuple(map(int, places[goal])) for goal in (CHEESE, CORNER) if places[goal]}
+        goals = [goal for goal in (CHEESE, CORNER) if places[goal]]
+        cells: Any = {goal: tuple(map(int, places[goal])) for goal in goals}
         begun = tuple(np.floor(maze.places.centre(np.array([s], maze.state)))[0].astype(int))
         if len({*cells.values(), begun}) == 3:
             found[number] = cells

@@ -246,7 +246,7 @@ def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list
     """Return the literature's claims and one of our own, with bounds set before any run."""
     least, bound = least_gain(table)
     inside = late.filter(pl.col("agent") == RUNNER, pl.col("score").is_in(list(OF_LOGITS)))
-    soonest = float(inside["late"].min()) if len(inside) else np.nan  # pyright: ignore
+    soonest = float(inside["late"].min()) if len(inside) else np.nan  # pyrefly: ignore
     told = [
         Claim(
             "Help of any amount, asked for by any score, does no harm.",
@@ -283,7 +283,7 @@ def lead(areas: pl.DataFrame) -> float:
     """Return the smallest difference over mice between the areas of goal and entropy scores."""
     by_level = areas.filter(agent=MOUSE, granularity="level")
     one, two = (by_level.filter(score=name).sort("run")["area"] for name in (ASTRAY, "entropy"))
-    return float((one - two).min())  # pyright: ignore
+    return float((one - two).min())  # pyrefly: ignore
 
 
 EXPERIMENT = Experiment(
