@@ -61,7 +61,7 @@ class Levels(Protocol):
 
     Examples:
         >>> maze = astray.games.find("maze")
-        >>> s = np.zeros(1, maze.state).view(np.recarray)[0]
+        >>> s = np.zeros(1, maze.state)[0]
         >>> maze.levels.generate(s, maze.variant("corner").records()[0])
     """
 

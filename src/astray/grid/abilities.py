@@ -117,11 +117,11 @@ def editing(world: World) -> Any:
     def build(cells: np.ndarray, at: tuple[int, int], looks: Mapping, variant: Variant) -> Any:
         if cells.shape != (world.side, world.side):
             raise ValueError(f"the level is {cells.shape}; it must be {world.side} cells a side")
-        s = np.zeros(1, world.rules.STATE).view(np.recarray)[0]
+        s = np.zeros(1, world.rules.STATE)[0]
         s.cell[:], s.mover[:] = cells % OVER, cells // OVER
         s.time_limit, (s.x, s.y) = variant.time_limit, at
         settle(s)
-        world.furnish(s, variant.records().view(np.recarray)[0])
+        world.furnish(s, variant.records()[0])
         for name, usual in world.looks.items():
             s[name] = looks.get(name, usual)
         return s
@@ -189,7 +189,7 @@ def solver(world: World) -> Any:
         finite("gamma", gamma, 0, 1)
         one_of("goal", goal, world.events)
         world.check(s)
-        now = np.array([s], world.rules.STATE).view(np.recarray)[0]
+        now = np.array([s], world.rules.STATE)[0]
         total, way, is_whole = 0.0, [], True
         while is_whole and not is_over(world, now, goal):
             key = goal, gamma, *(now[name].tobytes() for name in seen)

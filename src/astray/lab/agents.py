@@ -193,7 +193,7 @@ def arrows(agent: Shown, episode: Episode, with_effects: bool = False) -> Iterat
     An agent that may have a memory remembers the episode in its present place, the first. With
     effects, `same` marks for each place the equivalent actions, as in `fields.effects`.
     """
-    world, (s,) = episode.world, episode.state.view(np.recarray)
+    world, (s,) = episode.world, episode.state
     cells = places(world.game, s)
     for first in range(0, len(cells), AT_ONCE):
         some = cells[first : first + AT_ONCE]

@@ -195,7 +195,7 @@ def _undecided(s: Any, built: Any) -> dict[str, Any]:
     fields = {n: s[n] for n in differ if n not in OF_NO_LEVEL}
     told: dict[str, Any] = {}
     if fields.keys() & {"mt", "mt_next"}:
-        (twister,) = np.zeros(1, record_dtype(RNG_FIELDS)).view(np.recarray)
+        (twister,) = np.zeros(1, record_dtype(RNG_FIELDS))
         if (draws := _draws(twister, s.level, s.mt, s.mt_next)) < DRAWS:
             told["draws"] = draws
             fields = {n: value for n, value in fields.items() if n not in ("mt", "mt_next")}

@@ -109,7 +109,7 @@ def typical(
         return levels[0], f"{said}{tried}; the agent came to {listed} in none."
     usual, count = shown.most_common(1)[0]
     found = {n: time for n, (goal, time) in played.items() if goal == usual}
-    begun = initial_states(game, variant, levels).view(np.recarray)
+    begun = initial_states(game, variant, levels)
     size = {s.level: game.places.stand(s).sum() for s in begun if game.places}
     chosen = min(found, key=lambda n: (-min(found[n], TELLING), -size.get(n, 0), found[n]))
     does = f"reaches “{usual}” first" if usual in game.event_goals else f"comes to “{usual}”"
@@ -195,7 +195,7 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
         raise ValueError("the episode has ended: go back a step, and ask from there")
     policy = Walk(goal, quickest(game))
     walk = Episode(world, [episode.state]).play(policy, LONGEST)
-    (s,) = episode.state.view(np.recarray)
+    (s,) = episode.state
     before = _things(world, s)
     cells, takes, taken_at = [_centre(world, s).round(3).tolist()], None, None
     patience = 40 if game.real_time else 2  # steps; to jump, a runner may stand and wait

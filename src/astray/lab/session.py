@@ -175,7 +175,7 @@ def _told(episode: Episode, first: int, agent: Any) -> Reply:
     game, states = episode.world.game, episode.states[first:]
     told: Reply = {
         "first": first,
-        "states": [snapshot(game, s.view(np.recarray)[0]) for s in states],
+        "states": [snapshot(game, s[0]) for s in states],
         "actions": episode.actions[max(first - 1, 0) :],
         "rewards": episode.rewards[max(first - 1, 0) :],
         "terminated": episode.terminated,

@@ -36,7 +36,7 @@ def check_last(game: Game, states: np.ndarray, goal: str) -> None:
 
     The solver's return has the rewards up to the goal, and an agent's has all.
     """
-    (s,) = states.copy().view(np.recarray)
+    (s,) = states.copy()
     lead = game.solver.expert(s, goal)
     for _ in range(min(int(s.time_limit), MOST)):
         s.time += 1

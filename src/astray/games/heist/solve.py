@@ -119,7 +119,7 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
     """
     finite("gamma", gamma, 0, 1)
     check(s)
-    now = np.zeros(1, STATE).view(np.recarray)
+    now = np.zeros(1, STATE)
     now[0] = s
     time = walk(now[0], steps_to(s, goal), GOALS[goal] == "reached_gem")
     is_over = s[GOALS[goal]] != NEVER or time == UNREACHABLE

@@ -119,7 +119,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     Raises:
         ValueError: If no episode can begin there.
     """
-    s, p = np.zeros(1, STATE).view(np.recarray)[0], variant.records()[0]
+    s, p = np.zeros(1, STATE)[0], variant.records()[0]
     furnish(s, p)
     thief.begin(s, cells, agent, looks, p, put)
     return s

@@ -234,7 +234,7 @@ def _nearest(now: Any, there: list[int], away: dict[int, int]) -> list[int]:
 
 def copied(s: Any) -> Any:
     """Return an independent copy of `s`."""
-    copy = np.zeros(1, STATE).view(np.recarray)
+    copy = np.zeros(1, STATE)
     copy[0] = s
     return copy[0]
 

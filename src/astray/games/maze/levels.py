@@ -201,7 +201,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
             f"the level is {width} x {height} cells; the variant's world is {p.world} a side"
         )
     state = np.zeros(1, STATE)
-    s = state.view(np.recarray)[0]
+    s = state[0]
     furnish(s, p)
     s.time_limit = variant.time_limit
     s.cell[:] = WALL
