@@ -53,9 +53,9 @@ def with_auxiliary(network, batch, config):
     return losses | {"loss": losses["loss"] + auxiliary, "auxiliary": auxiliary}
 
 
-def learned(config, *own):
+def learned(config, network=None, loss=None):
     """All weights after an iteration, and what was measured."""
-    trainer = Trainer(config, *own)
+    trainer = Trainer(loop.checked(config, network=network, loss=loss))
     metrics = loop.update(trainer, loop.collect(trainer), 1e-2)
     return torch.cat([p.detach().flatten() for p in trainer.network.parameters()]), metrics
 
@@ -398,7 +398,7 @@ def test_ours_is_computed_by_the_kernels():
 
 def test_kernels_that_are_asked_for_are_refused_to_others():
     with pytest.raises(ValueError, match=r"fused_cpu must be off with .* this network and"):
-        Trainer(CONFIG.changed(fused_cpu=True), Tanh)
+        next(loop.iterate(CONFIG.changed(fused_cpu=True), network=Tanh))
 
 
 def test_explained_variance_is_a_fraction_of_the_targets():
@@ -407,3 +407,16 @@ def test_explained_variance_is_a_fraction_of_the_targets():
     assert ppo.explained_variance(torch.zeros(4), target) == pytest.approx(0)
     assert ppo.explained_variance(target, torch.ones(4)) == 0
     assert ppo.explained_variance(torch.randn(777), torch.full((777,), 0.37)) == 0  # but rounding
+
+
+@pytest.mark.parametrize("what", ["network", "loss", "sampler", "reward"])
+def test_what_cannot_be_called_is_refused_before_a_training(what):
+    with pytest.raises(ValueError, match="'os:sep' must be a function or a class, not a str"):
+        loop.checked(CONFIG.changed(**{what: "os:sep"}))
+
+
+def test_settings_name_the_loss_that_is_learned_by():
+    """They named another one, or the one of lessons, where the usual one was given."""
+    assert loop.checked(CONFIG.changed(loss="os:getcwd"), loss=ppo.loss).loss is None
+    student = loop.checked(CONFIG.changed(teacher="solver"), loss=ppo.loss)
+    assert student.loss == "astray.training.ppo:loss"

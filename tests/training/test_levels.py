@@ -357,13 +357,14 @@ def test_a_sampler_of_your_own_comes_in_as_a_class_and_by_its_name(tmp_path):
 
 
 def numbered(**methods):
-    """A sampler as `Numbered`, but for some methods."""
-    return type("Other", (Numbered,), methods)
+    """A sampler as `Numbered`, but for some methods; settings name the last one."""
+    globals()["Other"] = found = type("Other", (Numbered,), methods)
+    return found
 
 
 def test_a_sampler_chooses_the_first_levels_too():
     sampler = numbered(plan=lambda self, steps: Plan())
-    with contextlib.closing(Trainer(TINY, sampler=sampler)) as trainer:
+    with contextlib.closing(Trainer(loop.checked(TINY, sampler=sampler))) as trainer:
         trainer.player.plan(0)
         assert trainer.player.envs[0].states["level"].tolist() == [*range(16)]
         trainer.player.plan(256)
@@ -394,7 +395,7 @@ def test_what_a_sampler_must_not_do_is_told(method, message, tmp_path, monkeypat
     monkeypatch.setattr(loop, "SCORED", 3)
     sampler = numbered(**method)
     with pytest.raises(ValueError, match=message):
-        trainer = Trainer(TINY, sampler=sampler)
+        trainer = Trainer(loop.checked(TINY, sampler=sampler))
         with contextlib.closing(trainer):
             loop.improve(trainer)
 
@@ -405,7 +406,7 @@ def test_a_sampler_that_writes_to_what_it_is_told_changes_nothing_that_is_learne
 
     learned = []
     for sampler in (Numbered, numbered(note=note)):
-        with contextlib.closing(Trainer(TINY, sampler=sampler)) as trainer:
+        with contextlib.closing(Trainer(loop.checked(TINY, sampler=sampler))) as trainer:
             loop.improve(trainer)
             learned.append(torch.cat([w.detach().flatten() for w in trainer.weights]))
     assert torch.equal(*learned)

@@ -244,7 +244,7 @@ class Own(Recurrent):
 
 
 def test_a_network_of_ones_own_remembers_by_the_same_interface():
-    trainer = Trainer(CONFIG, network=Own)
+    trainer = Trainer(loop.checked(CONFIG, network=Own))
     loop.collect(trainer)
     steps_before = np.concatenate([env.states["time"] for env in trainer.player.envs])
     assert trainer.actor.rollout.after[:, 0].tolist() == (steps_before + 1).tolist()

@@ -217,7 +217,7 @@ def check_trainable(plan: Plan, trainings: Mapping[str, Iterable[Config]]) -> No
     """Raise ValueError if one of a plan's trainings, by agents' names, could not begin here."""
     for name, (config, *_) in trainings.items():
         try:
-            config = checked(config, None, None, None)
+            config = checked(config)
             if config.teacher not in (None, SOLVER):  # whose weights are not here yet
                 config = replace(config, teacher=None, taught=1.0)
             if name in plan.starts:  # nor are these
@@ -225,7 +225,7 @@ def check_trainable(plan: Plan, trainings: Mapping[str, Iterable[Config]]) -> No
             if config.device != "cpu":  # whose memory is for the trainings
                 config = replace(config, device="cpu", fast=Fast())
             with warnings.catch_warnings(action="ignore"):  # the training warns
-                begin(config, None, None, None, None).close()
+                begin(config).close()
         except (ValueError, FileNotFoundError) as error:
             raise ValueError(f"{name} cannot be trained: {error}") from error
 

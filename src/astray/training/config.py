@@ -243,10 +243,19 @@ class Config:
         """Return the game or, typed as a game, the `World` that is played."""
         return world.find(self.game)
 
+    def own(self) -> dict[str, Any]:
+        """Import the objects of the user's own that settings name; return them by setting.
+
+        Raises:
+            ValueError: If one does not exist, or cannot be called.
+        """
+        named = {"network": self.network, "loss": self.loss, "reward": self.reward}
+        named |= {"sampler": self.sampler.kind}
+        return {n: imports.find(x, True) for n, x in named.items() if imports.is_name(x or "")}
+
     def code(self) -> list[object]:
-        """Return the code that such agents depend on: the game, and custom classes."""
-        named = (self.network, self.loss or "", self.reward or "", self.sampler.kind)
-        return [self.find_game(), *(imports.find(name) for name in named if imports.is_name(name))]
+        """Return the code that such agents depend on: the game, and the user's own objects."""
+        return [self.find_game(), *self.own().values()]
 
     def training_variant(self) -> Variant:
         """Return the variant to train on."""

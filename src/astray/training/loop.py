@@ -150,13 +150,13 @@ def iterate(
     Raises:
         Exception: The errors of `train`, at the first iteration.
     """
-    config = checked(config, network, loss, sampler, reward)
+    config = checked(config, network=network, loss=loss, sampler=sampler, reward=reward)
     folder = None if folder is None else path_of("folder", folder)
     settings = functools.partial(acceleration.torch_settings, config.threads)
     with (
         parallel.processes(config.device),
         checkpoint.claim(folder, config, wait) if folder else contextlib.nullcontext(),
-        contextlib.closing(begin(config, folder, network, loss, sampler, reward)) as trainer,
+        contextlib.closing(begin(config, folder)) as trainer,
         Log(folder, trainer.steps, config, progress)
         if folder and parallel.first()
         else contextlib.nullcontext() as log,
@@ -192,17 +192,19 @@ def chance(config: Config, iteration: int) -> Iterator[None]:
         yield
 
 
-def checked(config: Config, network: Any, loss: Any, sampler: Any, reward: Any = None) -> Config:
+def checked(config: Config, **own: Any) -> Config:
     """Return the settings with the names of a custom network, loss, sampler and reward.
 
     Raises:
         ValueError: If they cannot be used for training here.
     """
     of_kind("config", config, Config)
-    own = {"network": network, "sampler": sampler, "reward": reward}
-    own["loss"] = None if loss is ppo.loss else loss
-    config = config.changed(**{n: imports.name_of(x) for n, x in own.items() if x is not None})
+    named: Any = {n: imports.name_of(x) for n, x in own.items() if x is not None}
+    if own.get("loss") is ppo.loss and config.teacher is None:
+        named["loss"] = None  # the same setting
+    config = config.changed(**named)
     config.sampler.check_kind()
+    config.own()
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
     bounded("threads", config.threads, 1, most_threads())
@@ -211,16 +213,13 @@ def checked(config: Config, network: Any, loss: Any, sampler: Any, reward: Any =
     return config
 
 
-def begin(
-    config: Config, folder: Path | None, network: Any, loss: Any, sampler: Any, reward: Any = None
-) -> Trainer:
+def begin(config: Config, folder: Path | None = None) -> Trainer:
     """Create or resume the trainer; raise FileNotFoundError if its teacher or start is missing."""
     taught = folder / TEACHER if folder and config.teacher is not None else None
     if taught and config.teacher != SOLVER and not taught.exists():  # before a game is compiled
         told = f"the teacher {config.teacher} must be at {taught}; see `astray distil`"
         raise FileNotFoundError(told)
     if folder and not is_own(config.network):
-        imports.find(config.network, True)  # the user's own names may be imported
         imports.known(config.network, policy.GROUP, nn.Module)  # as the agent is loaded later
     path = None
     if config.start is not None and not (folder and steps_saved(folder)):
@@ -228,7 +227,7 @@ def begin(
         path = kept if kept and kept.exists() else AgentFolder.open(config.start).weights
         policy.read_weights(path, config.game, **config.sizes)  # before a game is compiled
     with acceleration.torch_settings(config.threads):
-        trainer = Trainer(config, network, loss, sampler, taught, reward)
+        trainer = Trainer(config, taught)
         with contextlib.ExitStack() as stack:
             stack.callback(trainer.close)
             if folder:

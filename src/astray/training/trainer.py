@@ -10,7 +10,6 @@ import torch
 from torch import Tensor, nn
 
 from astray import imports
-from astray.acting import Reward
 from astray.agents.names import is_own
 from astray.agents.policy import Architecture, hollow
 from astray.agents.recurrent import Recurrent
@@ -18,14 +17,12 @@ from astray.memory import check_memory
 from astray.training import parallel, ppo
 from astray.training.config import SOLVER, Config
 from astray.training.fast import acceleration
-from astray.training.fast.acceleration import Loss
 from astray.training.fast.actor import Ahead
 from astray.training.fast.graphs import Captured
 from astray.training.levels import Growing, MakeSampler, Mixed, Sampler
 from astray.training.player import RECENT, Player
 from astray.training.replay import Replay
 from astray.training.rollout import Actor, Rollout, act
-from astray.training.settings import SAMPLERS
 from astray.training.teacher import Solver, Teacher
 from astray.training.teacher import loss as distilled
 from astray.validation import MOST, bounded, brief, of_kind
@@ -54,32 +51,19 @@ class Trainer:
     """The network, its optimizer, and the players of the training and validation variants.
 
     Args:
-        network, loss, sampler, reward: Objects behind the names in `config`, if they cannot be
-            imported.
         teacher: Weights of the agent that `config` names as teacher.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        network: Callable[[Architecture], nn.Module] | None = None,
-        loss: Loss | None = None,
-        sampler: MakeSampler | None = None,
-        teacher: Path | None = None,
-        reward: Reward | None = None,
-    ):
-        self.config = config
+    def __init__(self, config: Config, teacher: Path | None = None):
+        self.config, own = config, config.own()
         self.steps = 0  # environment steps done
         variant, groups = config.training_variant(), acceleration.groups(config)
-        chooses = _sampler(config, sampler)
-        own_reward = reward or (imports.find(config.reward, True) if config.reward else None)
-        self.player = Player(
-            config, variant, config.training_levels, 1, groups, chooses, own_reward
-        )
+        chooses, reward = _sampler(config, own.get("sampler")), own.get("reward")
+        self.player = Player(config, variant, config.training_levels, 1, groups, chooses, reward)
         self.validation: Player | None = None
         if config.validation:
             other, unseen = config.variant_for(config.validation), config.unseen_levels
-            self.validation = Player(config, other, unseen, 2, groups, reward=own_reward)
+            self.validation = Player(config, other, unseen, 2, groups, reward=reward)
             shapes = [player.space.shape for player in (self.validation, self.player)]
             if shapes[0] != shapes[1]:
                 raise ValueError(
@@ -94,25 +78,24 @@ class Trainer:
         self.architecture = Architecture(
             config.network, space.shape, largest, self.player.actions, config.scale, config.width
         )
-        # The user's own names may be imported.
-        own = is_own(config.network)
+        is_ours = is_own(config.network)
         shown = self.player.images  # of a World they may be other arrays
         is_image = shown.ndim == 4 and shown.dtype == torch.uint8
         if is_image:  # also of Atari's 210 x 160 pixels; small worlds may have three rows
             first, *others = shown.shape[1:]
             is_image = not (first < others[0] == others[1] or (first <= 4 and min(others) > 32))
-        if config.observation == "image" and own and not is_image:
+        if config.observation == "image" and is_ours and not is_image:
             raise ValueError(
                 f"network {config.network!r} sees images [H, W, C] uint8; got {shown.dtype} of "
                 f"shape {tuple(shown.shape[1:])}: observation 'symbolic' makes vectors for the "
                 "network 'mlp'"
             )
-        self.build = network or (Architecture.build if own else imports.find(config.network, True))
+        self.build = own.get("network", Architecture.build)
         self._check_memory(self.build)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             self.network = self.build(self.architecture).to(config.device).eval()
-            if not own:
+            if not is_ours:
                 name, seen = f"the network {config.network}", self.player.images.to(config.device)
                 with torch.no_grad(), imports.guarded(name, ValueError, ImportError):
                     said, none = self.network(seen), seen.new_zeros(len(seen), self.player.actions)
@@ -124,8 +107,8 @@ class Trainer:
         self.memory = self.network.memory if isinstance(self.network, Recurrent) else 0
         _check_divided(config, self.memory)
         usual = ppo.loss if config.teacher is None else distilled
-        what = loss or (imports.find(config.loss, True) if config.loss else usual)
-        self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
+        loss = own.get("loss", usual)
+        self.fast = acceleration.accelerate(self.network, loss, config, self.architecture)
         self.actor = self._acts(self.player, config.num_steps)
         self.validator = self._acts(self.validation, 1) if self.validation else None
         self.teacher: Teacher | Solver | None = None
@@ -291,9 +274,9 @@ class Trainer:
 
 def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
     """Return the sampler of training levels; None if the environments draw them."""
-    if make or config.sampler.kind not in SAMPLERS:
+    if make:
         with imports.guarded(f"the sampler {config.sampler.kind}", ValueError, ImportError):
-            found = (make or imports.find(config.sampler.kind, True))(config)
+            found = make(config)
             of_kind(f"what {config.sampler.kind} makes", found, Sampler)
         return found
     if config.sampler.kind == "uniform":
