@@ -122,9 +122,11 @@ class PoolsInLearning(Pools):
     "network, said",
     [(Pools, r"must return .*; got \[\(4, 15\), \(\)\]"), (PoolsInLearning, "also in learning")],
 )
-def test_a_network_that_returns_something_else_later_is_refused(tmp_path, network, said):
+@pytest.mark.parametrize("teacher", [None, "solver"])
+def test_a_network_that_returns_something_else_later_is_refused(tmp_path, network, said, teacher):
+    """A student learned by values that were broadcast."""
     with pytest.raises(ValueError, match=said):
-        train(TINY, tmp_path, network=network, progress=False)
+        train(TINY.changed(teacher=teacher), tmp_path, network=network, progress=False)
 
 
 def nothing(network, batch, config):

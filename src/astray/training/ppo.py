@@ -82,9 +82,7 @@ def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Ten
     Args:
         network: Callable, observations [B, ...] -> logits [B, actions], values [B].
     """
-    logits, value = network(minibatch.observation)
-    if not logits.shape[:-1] == value.shape == minibatch.action.shape:  # others would be broadcast
-        raise ValueError("a network must give a row for each observation, also in learning")
+    logits, value = outputs(network, minibatch)
     of_all = log_probabilities(logits)
     log_probability = of_all.gather(-1, minibatch.action[:, None]).squeeze(-1)
     log_ratio = log_probability - minibatch.log_probability
@@ -104,6 +102,14 @@ def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Ten
         "approx_kl": approx_kl,
         "clip_fraction": clip_fraction,
     }
+
+
+def outputs(network: Callable, minibatch: Samples) -> tuple[Tensor, Tensor]:
+    """Return logits [B, A] and values [B] on a minibatch; raise ValueError for other shapes."""
+    logits, value = network(minibatch.observation)
+    if not logits.shape[:-1] == value.shape == minibatch.action.shape:  # others would be broadcast
+        raise ValueError("a network must give a row for each observation, also in learning")
+    return logits, value
 
 
 def log_probabilities(logits: Tensor) -> Tensor:

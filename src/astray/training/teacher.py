@@ -172,7 +172,7 @@ def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Ten
     """
     if not isinstance(minibatch, Taught):
         return ppo.loss(network, minibatch, config)
-    logits, value = network(minibatch.observation)
+    logits, value = ppo.outputs(network, minibatch)
     of_all = ppo.log_probabilities(logits)
     wanted = minibatch.wanted
     kl = (wanted.exp() * (wanted - of_all)).sum(-1).mean()
