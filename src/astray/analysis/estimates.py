@@ -410,20 +410,16 @@ def group_means(
     if known.is_empty():
         raise ValueError(f"no row of {len(rows)} has a value of {value!r}")
     for key, group in known.group_by(by):
-        totals, weights = in_cells(group, agent, value, per)
-        rate = not per and group[value].dtype == pl.Boolean
-        estimate = estimate_mean(totals, weights, rate=rate)
-        found.append(dict(zip(by, key, strict=True)) | vars(estimate) | {"rows": len(group)})
+        estimate = estimate_rows(group, agent, value, per)
+        found.append(dict(zip(by, key, strict=True)) | vars(estimate))
     table = pl.DataFrame(found, infer_schema_length=None).sort(by)
     return table.with_columns(pl.col("mean", "low", "high").fill_nan(None))
 
 
-def in_cells(
+def estimate_rows(
     rows: pl.DataFrame, agent: Sequence[str], value: str, per: str | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return sums of `value`, and of `per` (1 if None), over the rows of each agent in each level.
-
-    Both are [agents, levels], for `estimate_mean`.
+) -> Estimate:
+    """Return the sum of `value` over that of `per` (1 if None), whichever levels each agent has.
 
     Args:
         agent: Columns that identify an agent; without any, all rows are of one.
@@ -441,4 +437,5 @@ def in_cells(
     totals, weights = np.zeros((2, *(int(code.max()) + 1 for code in cell)))
     np.add.at(totals, cell, rows[value].cast(pl.Float64).to_numpy())
     np.add.at(weights, cell, rows[per].to_numpy() if per else 1.0)
-    return totals, weights
+    found = estimate_mean(totals, weights, rate=not per and rows[value].dtype == pl.Boolean)
+    return replace(found, rows=len(rows))  # not of all agents in all levels

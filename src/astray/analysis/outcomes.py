@@ -5,14 +5,14 @@ An episode has one outcome: the intended goal, goal misgeneralization, one of th
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import polars as pl
 
 from astray import world
-from astray.analysis.estimates import estimate_mean, in_cells
+from astray.analysis.estimates import estimate_rows
 from astray.analysis.policies import Walk
 from astray.estimate import Estimate
 from astray.game import Game, More, Never, Outcome, Shift, Truncated, Variant
@@ -214,10 +214,7 @@ def _check_columns(episodes: pl.DataFrame, names: Sequence[str]) -> None:
 def _mean(episodes: pl.DataFrame, value: pl.Expr) -> Estimate:
     """Return the mean of `value`, whichever levels each agent played, and however often."""
     agent = [name for name in AGENT if name in episodes.columns]
-    table = episodes.select(*agent, "level", value=value)
-    rate = table["value"].dtype == pl.Boolean
-    found = estimate_mean(*in_cells(table, agent, "value"), rate=rate)
-    return replace(found, rows=len(table))  # not of all agents in all levels
+    return estimate_rows(episodes.select(*agent, "level", value=value), agent, "value")
 
 
 def matrix(episodes: pl.DataFrame, value: pl.Expr) -> np.ndarray:
