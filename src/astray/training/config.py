@@ -243,8 +243,8 @@ class Config:
         """Return the game or, typed as a game, the `World` that is played."""
         return world.find(self.game)
 
-    def own(self) -> dict[str, Any]:
-        """Import the objects of the user's own that settings name; return them by setting.
+    def custom(self) -> dict[str, Any]:
+        """Import the user's own objects that settings name; return them by setting.
 
         Raises:
             ValueError: If one does not exist, or cannot be called.
@@ -255,7 +255,7 @@ class Config:
 
     def code(self) -> list[object]:
         """Return the code that such agents depend on: the game, and the user's own objects."""
-        return [self.find_game(), *self.own().values()]
+        return [self.find_game(), *self.custom().values()]
 
     def training_variant(self) -> Variant:
         """Return the variant to train on."""

@@ -204,7 +204,7 @@ def checked(config: Config, **own: Any) -> Config:
         named["loss"] = None  # the same setting
     config = config.changed(**named)
     config.sampler.check_kind()
-    config.own()
+    config.custom()
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
     bounded("threads", config.threads, 1, most_threads())

@@ -55,10 +55,10 @@ class Trainer:
     """
 
     def __init__(self, config: Config, teacher: Path | None = None):
-        self.config, own = config, config.own()
+        self.config, custom = config, config.custom()
         self.steps = 0  # environment steps done
         variant, groups = config.training_variant(), acceleration.groups(config)
-        chooses, reward = _sampler(config, own.get("sampler")), own.get("reward")
+        chooses, reward = _sampler(config, custom.get("sampler")), custom.get("reward")
         self.player = Player(config, variant, config.training_levels, 1, groups, chooses, reward)
         self.validation: Player | None = None
         if config.validation:
@@ -90,7 +90,7 @@ class Trainer:
                 f"shape {tuple(shown.shape[1:])}: observation 'symbolic' makes vectors for the "
                 "network 'mlp'"
             )
-        self.build = own.get("network", Architecture.build)
+        self.build = custom.get("network", Architecture.build)
         self._check_memory(self.build)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
@@ -107,7 +107,7 @@ class Trainer:
         self.memory = self.network.memory if isinstance(self.network, Recurrent) else 0
         _check_divided(config, self.memory)
         usual = ppo.loss if config.teacher is None else distilled
-        loss = own.get("loss", usual)
+        loss = custom.get("loss", usual)
         self.fast = acceleration.accelerate(self.network, loss, config, self.architecture)
         self.actor = self._acts(self.player, config.num_steps)
         self.validator = self._acts(self.validation, 1) if self.validation else None
