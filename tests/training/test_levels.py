@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -368,7 +369,7 @@ def test_a_sampler_chooses_the_first_levels_too():
         trainer.player.plan(0)
         assert trainer.player.envs[0].states["level"].tolist() == [*range(16)]
         trainer.player.plan(256)
-        assert trainer.player.sampler.count == 16
+        assert trainer.player.sampler.arrays()["count"] == 16
 
 
 @pytest.mark.parametrize(
@@ -398,6 +399,23 @@ def test_what_a_sampler_must_not_do_is_told(method, message, tmp_path, monkeypat
         trainer = Trainer(loop.checked(TINY, sampler=sampler))
         with contextlib.closing(trainer):
             loop.improve(trainer)
+
+
+def leaves(*given):
+    sys.exit(0)
+
+
+def fails(*given):
+    raise KeyError("mine")
+
+
+@pytest.mark.parametrize("failing", [leaves, fails])
+@pytest.mark.parametrize("method", ["plan", "next", "note", "summary", "arrays"])
+def test_a_sampler_that_fails_at_any_time_is_told_in_a_sentence(method, failing, tmp_path):
+    """One that called `sys.exit` ended the command without a word, as if the training were done."""
+    said = r"Other fails: (SystemExit\(0\)|KeyError\('mine'\))"
+    with pytest.raises(ValueError, match=said):
+        train(TINY, tmp_path, sampler=numbered(**{method: failing}), progress=False)
 
 
 def test_a_sampler_that_writes_to_what_it_is_told_changes_nothing_that_is_learned():

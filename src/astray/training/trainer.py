@@ -1,10 +1,13 @@
 """The state of a training, which a checkpoint must hold."""
 
+import functools
 import inspect
 import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -31,6 +34,7 @@ from astray.world import World
 PER_WEIGHT = 16  # bytes: float32 weight, gradient, and Adam's two moments
 PER_SAMPLE = 28  # bytes beside the observation: an int64 and five float32
 MOMENTS = ("exp_avg", "exp_avg_sq")  # Adam's, for each weight
+METHODS = [name for name in vars(Sampler) if not name.startswith("_")]
 
 
 class Adam(torch.optim.Adam):
@@ -274,14 +278,15 @@ class Trainer:
 
 def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
     """Return the sampler of training levels; None if the environments draw them."""
-    if make:
-        with imports.guarded(f"the sampler {config.sampler.kind}", ValueError, ImportError):
-            found = make(config)
-            of_kind(f"what {config.sampler.kind} makes", found, Sampler)
-        return found
-    if config.sampler.kind == "uniform":
+    if (kind := config.sampler.kind) == "uniform":
         return None
-    return {"mixed": Mixed, "growing": Growing}.get(config.sampler.kind, Replay)(config)
+    if make is None:
+        return {"mixed": Mixed, "growing": Growing}.get(kind, Replay)(config)
+    guard = functools.partial(imports.guarded, f"the sampler {kind}", ValueError, ImportError)
+    with guard():
+        of_kind(f"what {kind} makes", found := make(config), Sampler)
+    asked: Any = SimpleNamespace(**{name: guard()(getattr(found, name)) for name in METHODS})
+    return asked
 
 
 def _check_divided(config: Config, memory: int) -> None:
