@@ -98,7 +98,7 @@ def test_the_page_on_extending_says_how_long_a_game_is():
 
 
 def test_the_page_on_extending_runs_as_it_stands(tmp_path):
-    run_page("extending", 8, tmp_path)
+    run_page("extending", 9, tmp_path)
     assert '"update/size"' in (tmp_path / "mouse" / "metrics.jsonl").read_text("utf-8")
 
 
