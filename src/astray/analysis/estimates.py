@@ -83,7 +83,10 @@ def estimate_mean(
             not from 0 to 1.
     """
     rate = _is_rate(values) if rate is None else rate
-    values, weights = _checked(values, weights)
+    values = _numbers("values", values)
+    weights = np.ones_like(values) if weights is None else _numbers("weights", weights)
+    if weights.shape != values.shape or not ((weights >= 0) & (weights < np.inf)).all():
+        raise ValueError(f"weights must be {values.shape} numbers, none below 0; got {weights}")
     total = float(weights.sum())
     if total:  # an agent without weight says nothing
         values, weights = (each[weights.any(1)] for each in (values, weights))
@@ -125,7 +128,7 @@ def estimate_difference(
         ValueError: If the levels should be the same but differ in number.
     """
     rate = _is_rate(one) and _is_rate(other)
-    one, other = kinds = [_checked(kind, None)[0] for kind in (one, other)]
+    one, other = kinds = [_numbers("values", kind) for kind in (one, other)]
     levels = [values.shape[1] for values in kinds]
     if same_levels and levels[0] != levels[1]:
         raise ValueError(f"levels must be the same; got {levels[0]} and {levels[1]}")
@@ -178,7 +181,7 @@ def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
         ValueError: If their shapes differ.
     """
     rates = _is_rate(one) and _is_rate(other)
-    (one, _), (other, _) = _checked(one, None), _checked(other, None)
+    one, other = (_numbers("values", kind) for kind in (one, other))
     if one.shape[1] != other.shape[1] or len({len(one), len(other)} - {1}) > 1:
         raise ValueError(
             f"both must be of the same agents, or one, in the same levels; got {one.shape} and "
@@ -232,26 +235,17 @@ def detectable(
     return float(nctdtrinc(freedom, 1 - POWER, quantile(freedom))) * error
 
 
-def _checked(values: np.ndarray, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    values = _numbers("values", values)
-    if values.ndim != 2 or not values.size:
-        raise ValueError(
-            f"values must be [agents, levels], at least one of each; got {values.shape}"
-        )
-    if weights is None:
-        return values, np.ones_like(values)
-    weights = _numbers("weights", weights)
-    if weights.shape != values.shape or not ((weights >= 0) & (weights < np.inf)).all():
-        raise ValueError(f"weights must be {values.shape} numbers, none below 0; got {weights}")
-    return values, weights
-
-
 def _numbers(name: str, given: Any) -> np.ndarray:
     """Return `given` as reals [agents, levels]; text, masks and dates would be read as numbers."""
     array = np.asarray(given)
     if array.dtype.kind not in "biuf" or np.ma.is_masked(given):
         raise ValueError(f"{name} must be numbers [agents, levels]; got {shown(given)}")
-    return np.atleast_2d(array.astype(float))
+    array = np.atleast_2d(array.astype(float))
+    if array.ndim != 2 or not array.size:
+        raise ValueError(
+            f"{name} must be [agents, levels], at least one of each; got {array.shape}"
+        )
+    return array
 
 
 def _is_rate(values: np.ndarray) -> bool:
