@@ -95,7 +95,7 @@ class Trainer:
                 "network 'mlp'"
             )
         self.build = custom.get("network", Architecture.build)
-        self._check_memory(self.build)
+        self._check_memory()
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             self.network = self.build(self.architecture).to(config.device).eval()
@@ -138,20 +138,22 @@ class Trainer:
             return Ahead(self.fast.network, rollout, self.fast.using.cudagraphs)
         return Actor(self.fast.network, rollout)
 
-    def _check_memory(self, build: Callable[[Architecture], nn.Module]) -> None:
+    def _check_memory(self) -> None:
         """Raise MemoryError if a rollout and the network need more memory than the CPU has."""
         config, shown = self.config, math.prod(self.architecture.shape)
         name, passed = f"the network {config.network}", (ValueError, ImportError, RuntimeError)
         try:
             with imports.guarded(name, *passed, OverflowError):
-                made = hollow(self.architecture, build)
+                made = hollow(self.architecture, self.build)
                 of_kind(f"what {config.network} makes", made, nn.Module)
                 if isinstance(made, Recurrent):
                     bounded(f"memory of {config.network}", getattr(made, "memory", None), 1, MOST)
                 count = sum(x.numel() for x in made.parameters())
-                plain = hollow(replace(self.architecture, scale=1), build).parameters()
-                if config.scale != 1 and count == sum(x.numel() for x in plain):
-                    raise ValueError(f"network {config.network} has no scale; got {config.scale}")
+                if config.scale != 1:
+                    plain = hollow(replace(self.architecture, scale=1), self.build).parameters()
+                    if count == sum(x.numel() for x in plain):
+                        told = f"has no scale; got {config.scale}"
+                        raise ValueError(f"network {config.network} {told}")
         except (RuntimeError, OverflowError) as error:
             if "overflow" not in f"{error}".lower():
                 of = f"{name} cannot be made for observations of {self.architecture.shape}"
