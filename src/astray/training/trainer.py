@@ -82,31 +82,8 @@ class Trainer:
         self.architecture = Architecture(
             config.network, space.shape, largest, self.player.actions, config.scale, config.width
         )
-        is_ours = is_own(config.network)
-        shown = self.player.images  # of a World they may be other arrays
-        is_image = shown.ndim == 4 and shown.dtype == torch.uint8
-        if is_image:  # also of Atari's 210 x 160 pixels; small worlds may have three rows
-            first, *others = shown.shape[1:]
-            is_image = not (first < others[0] == others[1] or (first <= 4 and min(others) > 32))
-        if config.observation == "image" and is_ours and not is_image:
-            raise ValueError(
-                f"network {config.network!r} sees images [H, W, C] uint8; got {shown.dtype} of "
-                f"shape {tuple(shown.shape[1:])}: observation 'symbolic' makes vectors for the "
-                "network 'mlp'"
-            )
         self.build = custom.get("network", Architecture.build)
-        self._check_memory()
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(config.seed)
-            self.network = self.build(self.architecture).to(config.device).eval()
-            if not is_ours:
-                name, seen = f"the network {config.network}", self.player.images.to(config.device)
-                with torch.no_grad(), imports.guarded(name, ValueError, ImportError):
-                    said, none = self.network(seen), seen.new_zeros(len(seen), self.player.actions)
-                    act(lambda _: said, none.float(), seen)
-                    is_finite = said[0].isfinite().all()
-                if not is_finite:
-                    raise ValueError(f"{name} must return finite logits: -1e9 for a masked action")
+        self.network = self._made()
         self.weights = list(self.network.parameters())
         self.memory = self.network.memory if isinstance(self.network, Recurrent) else 0
         _check_divided(config, self.memory)
@@ -137,6 +114,34 @@ class Trainer:
         if self.config.device == "cuda" and not self.memory:
             return Ahead(self.fast.network, rollout, self.fast.using.cudagraphs)
         return Actor(self.fast.network, rollout)
+
+    def _made(self) -> nn.Module:
+        """Make the network; raise ValueError if it cannot play, or as `_check_memory` does."""
+        config, is_ours = self.config, is_own(self.config.network)
+        shown = self.player.images  # of a World they may be other arrays
+        is_image = shown.ndim == 4 and shown.dtype == torch.uint8
+        if is_image:  # also of Atari's 210 x 160 pixels; small worlds may have three rows
+            first, *others = shown.shape[1:]
+            is_image = not (first < others[0] == others[1] or (first <= 4 and min(others) > 32))
+        if config.observation == "image" and is_ours and not is_image:
+            raise ValueError(
+                f"network {config.network!r} sees images [H, W, C] uint8; got {shown.dtype} of "
+                f"shape {tuple(shown.shape[1:])}: observation 'symbolic' makes vectors for the "
+                "network 'mlp'"
+            )
+        self._check_memory()
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            network = self.build(self.architecture).to(config.device).eval()
+            if not is_ours:
+                name, seen = f"the network {config.network}", shown.to(config.device)
+                with torch.no_grad(), imports.guarded(name, ValueError, ImportError):
+                    said, none = network(seen), seen.new_zeros(len(seen), self.player.actions)
+                    act(lambda _: said, none.float(), seen)
+                    is_finite = said[0].isfinite().all()
+                if not is_finite:
+                    raise ValueError(f"{name} must return finite logits: -1e9 for a masked action")
+        return network
 
     def _check_memory(self) -> None:
         """Raise MemoryError if a rollout and the network need more memory than the CPU has."""
