@@ -46,7 +46,7 @@ class _Lent:
             self.standard = [(module, {**vars(module)}) for module in (builtins, json, os)]
             self.own, self.path, self.output = (sys.stdout, sys.stderr), [*sys.path], 0
             self.depth, self.folder = sys.getrecursionlimit(), ""
-            self.errors, self.mask = np.geterr(), os.umask(0o077)
+            self.muted, self.errors, self.mask = LOG.manager.disable, np.geterr(), os.umask(0o077)
             os.umask(self.mask)
             self.leaves_alarm = os.name == "nt" or any(signal.getitimer(signal.ITIMER_REAL))
             self.dtype = getattr(sys.modules.get("torch"), "get_default_dtype", lambda: None)()
@@ -73,6 +73,7 @@ class _Lent:
                     (torch := sys.modules["torch"]).set_default_dtype(self.dtype or torch.float32)
                 for module, own in self.standard:
                     vars(module).update(own)
+                logging.disable(self.muted)
                 if self.output:
                     with contextlib.suppress(AttributeError, OSError, ValueError):
                         sys.__stdout__.flush()  # pyrefly: ignore
@@ -218,8 +219,7 @@ def known(name: str, group: str, kind: type) -> Any:
     """
     if name in {point.value for point in offered(group)}:
         return find(name)
-    module = name.partition(":")[0]
-    if module not in sys.modules:
+    if (module := name.partition(":")[0]) not in sys.modules:
         raise ValueError(
             f"{name} is not astray's own: import {module} first, or install a package that "
             f"offers it as one of the entry points {group!r}"

@@ -1,6 +1,7 @@
 """A game of a stranger that is broken is told, and keeps nothing else from being seen."""
 
 import json
+import logging
 import os
 import re
 import signal
@@ -195,15 +196,17 @@ def test_a_game_that_allows_few_calls_in_each_other_hides_no_other(tmp_path, mon
 
 
 @pytest.mark.skipif(os.name == "nt", reason="it has no alarms")
-def test_a_game_that_sets_an_alarm_a_mask_or_numpy_s_errors_leaves_them_as_they_were(
+def test_a_game_that_sets_an_alarm_a_mask_errors_or_logs_leaves_them_as_they_were(
     tmp_path, monkeypatch
 ):
-    sets = "import os, signal, numpy\nsignal.alarm(100)\nos.umask(0o777)\nnumpy.seterr(all='raise')"
-    offer(tmp_path, monkeypatch, sets=f"{sets}\nGAME = 3")
+    sets = "import logging, os, signal, numpy\nsignal.alarm(100)\nos.umask(0o777)\n"
+    sets += "numpy.seterr(all='raise')\nlogging.disable()\nGAME = 3"
+    offer(tmp_path, monkeypatch, sets=sets)
     before, mask = np.geterr(), os.umask(0o022)
     try:
         games.survey(lambda game: 0)
         assert (signal.alarm(0), os.umask(0o022), np.geterr()) == (0, 0o022, before)
+        assert logging.getLogger("astray").isEnabledFor(logging.WARNING)
         signal.alarm(100)
         with imports.guarded("a game with its own limit of time"):
             pass
@@ -212,6 +215,7 @@ def test_a_game_that_sets_an_alarm_a_mask_or_numpy_s_errors_leaves_them_as_they_
         signal.alarm(0)
         os.umask(mask)
         np.seterr(**before)
+        logging.disable(logging.NOTSET)
         games._offered.cache_clear()
 
 
