@@ -13,6 +13,7 @@ from safetensors.torch import load_file
 
 import astray
 from astray.analysis.adapters import from_trainer
+from astray.insight.probes import untrained
 from astray.training import checkpoint
 from astray.training.loop import train
 from helpers.processes import environment
@@ -45,9 +46,9 @@ def test_a_run_that_was_looked_at_has_the_weights_of_one_that_was_not(tmp_path):
 
 @pytest.fixture
 def doubles():
-    """A program whose default is float64, and that computes no gradients."""
+    """A program whose default is float64 on another device, and that computes no gradients."""
     torch.set_default_dtype(torch.float64)
-    with torch.no_grad():
+    with torch.no_grad(), torch.device("meta"):
         yield
     torch.set_default_dtype(torch.float32)
 
@@ -55,12 +56,15 @@ def doubles():
 @pytest.mark.usefixtures("doubles")
 def test_in_a_program_with_other_defaults_agents_are_trained_and_loaded_the_same(tmp_path):
     """In float64 neither was possible, and without gradients the loss was blamed."""
+    next(astray.iterate(TINY, tmp_path / "doubles"))  # stopped, it writes a checkpoint
     train(TINY, tmp_path / "doubles", progress=False)
     agent = astray.load_agent(tmp_path / "doubles")
+    untrained(agent, 0).outputs(np.zeros((1, *agent.space.shape), np.uint8))
     assert torch.get_default_dtype() == torch.float64 and not torch.is_grad_enabled()
     played = astray.evaluate(agent, "maze", VARIANT, LEVELS)
     torch.set_default_dtype(torch.float32)
-    train(TINY, tmp_path / "plain", progress=False)
+    with torch.device("cpu"):
+        train(TINY, tmp_path / "plain", progress=False)
     assert digest(tmp_path / "doubles") == digest(tmp_path / "plain")
     assert played.equals(
         astray.evaluate(astray.load_agent(tmp_path / "plain"), "maze", VARIANT, LEVELS)

@@ -35,12 +35,13 @@ SEQUENCES = ("shape", "largest", "widths")  # fields of an architecture that JSO
 
 
 @contextlib.contextmanager
-def float32() -> Iterator[None]:
-    """Make float32 torch's default, which the program may have changed."""
-    before = torch.get_default_dtype()
+def defaults(device: str | None = None) -> Iterator[None]:
+    """Make float32 torch's default, and `device`, both of which the program may have changed."""
+    before, there = torch.get_default_dtype(), torch.get_default_device().type
     torch.set_default_dtype(torch.float32)
-    try:
-        yield
+    try:  # a device of its own slows down every call of torch
+        with torch.device(device) if device not in (None, there) else contextlib.nullcontext():
+            yield
     finally:
         torch.set_default_dtype(before)
 
@@ -79,7 +80,7 @@ class Architecture:
             raise ValueError(f"`largest` must have a number for each plane; got {self}")
         check_network(self.name)
 
-    @float32()
+    @defaults()
     def build(self) -> nn.Module:
         """Build the network, initialised from torch's global random state.
 
@@ -135,7 +136,7 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
         FileNotFoundError: If there is no such file.
         ValueError: If it is not an agent of this game.
     """
-    with _explained(path):
+    with _explained(path), defaults("cpu"):
         tensors, architecture = _read(path, game)
         promised = (empty := hollow(architecture)).state_dict()  # a header can promise any size
         _check_weights({n: t for n, t in tensors.items() if n in promised}, empty)

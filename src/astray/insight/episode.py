@@ -131,7 +131,7 @@ def _advantages(
     rewards: np.ndarray, value: np.ndarray, terminated: bool, gamma: float, lam: float
 ) -> np.ndarray:
     """Return generalised advantages [T], given values [T + 1] including the last state's."""
-    last = torch.arange(len(rewards))[:, None] == len(rewards) - 1
+    last = torch.from_numpy(np.arange(len(rewards))[:, None] == len(rewards) - 1)
     ends, cut = last & terminated, last & (not terminated)
     reward, now, after = (torch.from_numpy(x)[:, None] for x in (rewards, value[:-1], value[1:]))
     return ppo.advantages(reward, now, after, ends, cut, gamma, lam)[:, 0].numpy()

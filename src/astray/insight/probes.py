@@ -21,6 +21,7 @@ from torch.nn.utils.spectral_norm import SpectralNorm
 from torch.nn.utils.weight_norm import WeightNorm
 
 from astray import imports
+from astray.agents.policy import defaults
 from astray.analysis.critic import observe
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.evaluate import Measure, check_measures, measured
@@ -105,7 +106,7 @@ def untrained(agent: AnyModel, seed: int) -> AnyModel:
     """Return the agent with an untrained network; raise ValueError if a module cannot be reset."""
     bounded("seed", seed, 0, MOST)
     other = copy.copy(agent)
-    with torch.random.fork_rng(devices=[]):
+    with torch.random.fork_rng(devices=[]), defaults("cpu"):
         torch.manual_seed(seed)
         if isinstance(agent, Agent):
             other.network = agent.architecture.build().to(agent.device)

@@ -133,16 +133,15 @@ def _compare(there: Config, here: Config, what: str) -> None:
         raise ValueError(f"{what}: {', '.join(differ)}")
 
 
+@policy.defaults("cpu")
 def save(folder: Path, trainer: Trainer) -> None:
     """Write a checkpoint; of older ones keep the last two, and the agents of milestones."""
-    there = folder / "checkpoints"
-    game = trainer.config.game
+    there, game = folder / "checkpoints", trainer.config.game
     tensors = {name: tensor.contiguous() for name, tensor in trainer.tensors().items()}
     header = policy.header(game, config=trainer.config.to_json())
     if not parallel.first():
         return
-    final = there / f"{trainer.steps}"
-    with files.folder_aside(final) as aside:
+    with files.folder_aside(final := there / f"{trainer.steps}") as aside:
         files.write_aside(
             aside / AGENT, policy.weights(trainer.network, trainer.architecture, game)
         )
@@ -151,8 +150,7 @@ def save(folder: Path, trainer: Trainer) -> None:
     saved = steps_saved(folder)
     firsts = {next((s for s in saved if s >= m), None) for m in trainer.config.milestones}
     for old in saved[:-2]:
-        place = there / f"{old}"
-        if not files.holds_only(place, (AGENT, TRAINER)):
+        if not files.holds_only(place := there / f"{old}", (AGENT, TRAINER)):
             continue  # it leads elsewhere, or the user keeps something in it
         with contextlib.suppress(PermissionError):  # Windows, while it is read: so the next time
             if old in firsts:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from astray.agents.policy import Architecture, float32
+from astray.agents.policy import Architecture, defaults
 from astray.validation import brief, shown
 
 Plain = int | float | str | bool | None
@@ -64,7 +64,7 @@ def build(make: Callable[[], nn.Module], tensors: Mapping[str, Tensor]) -> Any:
         # As the network will have them: numbers of 64 bits may be none in 32.
         if not tensors[name].is_floating_point() or not tensors[name].float().isfinite().all():
             raise ValueError(f"{name} is not all finite numbers")
-    with torch.random.fork_rng(devices=[]), float32():
+    with torch.random.fork_rng(devices=[]), defaults("cpu"):
         network = make()
     network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
     return network

@@ -79,7 +79,7 @@ def torch_settings(threads: int) -> Iterator[None]:
     torch.backends.cudnn.benchmark = True
     torch.set_flush_denormal(True)
     try:
-        with policy.float32(), torch.enable_grad():
+        with policy.defaults("cpu"), torch.enable_grad():
             yield
     finally:
         torch.set_flush_denormal(not denormals)
