@@ -53,6 +53,11 @@ def of_numbers(name: str, given: Any) -> None:
         raise ValueError(f"{name} must be of numbers; got {shown(given)}")
 
 
+def plain(given: Any) -> Any:
+    """Return a number or a truth value of NumPy's as Python's, and anything else as it is."""
+    return given.item() if isinstance(given, np.generic) else given
+
+
 def path_of(name: str, given: Any) -> Path:
     """Return the argument `name` as a path; raise ValueError unless it is one: "" names nothing."""
     if not isinstance(given, str | os.PathLike) or not f"{given}" or "\0" in f"{given}":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import typing
@@ -12,7 +13,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 
 from astray.record import record_dtype
-from astray.validation import MOST, bounded, finite, of_kind, one_of, shown
+from astray.validation import MOST, bounded, finite, of_kind, one_of, plain, shown
 
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
@@ -42,12 +43,12 @@ class Variant:
 
     def __post_init__(self) -> None:
         for name, kind in knobs(type(self)).items():  # to which compiled code casts
-            choices, given = typing.get_args(kind), getattr(self, name)
+            choices, given = typing.get_args(kind), plain(getattr(self, name))
+            object.__setattr__(self, name, given)
             if choices:
                 one_of(name, given, choices)
             elif kind is bool:
-                if not isinstance(given, bool | np.bool_):
-                    raise ValueError(f"{name} must be a bool; got {given!r}")
+                of_kind(name, given, bool)
             elif kind is int:
                 bounded(name, given, *_bounds(type(self)).get(name, (-MOST, MOST)))
             else:
@@ -122,20 +123,14 @@ def _bounds(variant: type[Variant]) -> Mapping[str, tuple[int, int]]:
 def _as_knob(name: str, value: Any, kinds: Mapping[str, type]) -> Any:
     """Return `value` converted to the type of the knob called `name`."""
     one_of("knob", name, kinds)
-    if isinstance(value, str) and kinds[name] is not str:
-        try:
+    value, kind = plain(value), kinds[name]
+    if isinstance(value, str) and kind is not str:
+        with contextlib.suppress(json.JSONDecodeError, RecursionError):
             value = json.loads(value.lower())
-        except (json.JSONDecodeError, RecursionError):
-            raise _unlike(name, value, kinds[name]) from None
-    if type(value) is int and kinds[name] is float:
-        value = float(value)
-    if type(value) is not kinds[name]:
-        raise _unlike(name, value, kinds[name])
+    value = float(value) if type(value) is int and kind is float else value
+    if type(value) is not kind:
+        raise ValueError(f"{name} must be of type {kind.__name__}; got {shown(value)}")
     return value
-
-
-def _unlike(name: str, value: Any, kind: type) -> ValueError:
-    return ValueError(f"{name} must be of type {kind.__name__}; got {shown(value)}")
 
 
 def _number(value: Any, kind: Any) -> Any:

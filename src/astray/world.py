@@ -18,7 +18,7 @@ import numpy as np
 from astray import games, imports
 from astray.game import OWN, Game, Missing, Outcome, Shift, check_goals, check_names
 from astray.record import record_dtype
-from astray.validation import brief, finite, of_kind, of_numbers, one_of, shown
+from astray.validation import brief, finite, of_kind, of_numbers, one_of, plain, shown
 
 Env = gymnasium.Env
 Happened = str | Callable[[Any, Mapping[str, Any]], Any]
@@ -129,12 +129,12 @@ class WorldVariant:
 
 
 def _as_said(value: Any) -> Any:
-    """Return the number, truth value or None that text says, as of a command line, or the value."""
+    """Return the number, truth value or None that text or NumPy says, or else the value."""
     if isinstance(value, str):
         with contextlib.suppress(ValueError, RecursionError):
             read = json.loads("null" if value == "None" else value.lower())
             return value if isinstance(read, str | list | dict) else read
-    return value
+    return plain(value)
 
 
 class Layout(NamedTuple):

@@ -4,6 +4,7 @@ import json
 import warnings
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import astray
@@ -13,6 +14,7 @@ from astray.experiments import spec
 from astray.game import Shift
 from astray.training.config import PRESETS, Config, LeftOut
 from astray.training.settings import Fast, Sampling
+from helpers.rooms import WORLD
 
 MAZE = games.find("maze")
 CORNER, SMALL = MAZE.variants["corner"], MAZE.variants["anywhere-small"]
@@ -70,6 +72,17 @@ def test_games_and_variants_are_taken_for_their_names():
         variant="corner-small", validation="anywhere-small", knobs={"largest": 5, "time_limit": 20}
     )
     assert config.training_variant() == mine and Config.from_json(config.to_json()) == config
+
+
+def test_numbers_of_numpy_are_the_numbers_that_they_are():
+    given = {"levels": 1000, "gamma": 0.5, "anneal": False}
+    numpys = {"levels": np.int64(1000), "gamma": np.float32(0.5), "anneal": np.bool_(False)}
+    one = Config("maze", "anywhere-small", {"time_limit": 9}, **given, sampler=Sampling(buffer=9))
+    sampler, knobs = Sampling(buffer=np.int8(9)), {"time_limit": np.int32(9)}
+    for variant in (replace(SMALL, time_limit=np.int64(9)), "anywhere-small"):
+        two = Config("maze", variant, knobs, **numpys, sampler=sampler)
+        assert json.dumps(two.to_json()) == json.dumps(one.to_json()) and repr(two) == repr(one)
+    assert repr(Config(WORLD, "end", {"vector": np.float64(1)}).knobs) == "{'vector': 1.0}"
 
 
 def test_a_shift_and_a_variant_of_your_own_are_played_as_those_with_names():

@@ -12,7 +12,7 @@ from tyro.conf import arg
 from astray import imports
 from astray.game import MOST_EDITS, Mutation
 from astray.record import LEVELS
-from astray.validation import MOST, of_kind, one_of, shown, types_of
+from astray.validation import MOST, of_kind, one_of, plain, shown, types_of
 
 KNOB = "variant."  # prefix that marks a name as a knob rather than a setting
 SHORT = {"lr": "learning_rate"}  # other names of settings
@@ -123,9 +123,9 @@ class Fast:
 
 
 def check(record: Any) -> None:
-    """Raise ValueError unless every field, except nested records, has its type and range."""
+    """Make NumPy's numbers Python's; raise ValueError for a field of wrong type or out of range."""
     for name, kind in types_of(type(record)).items():
-        value = getattr(record, name)
+        object.__setattr__(record, name, value := plain(getattr(record, name)))
         if kind in (Sampling, Fast):
             of_kind(name, value, kind)
             continue
