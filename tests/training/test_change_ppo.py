@@ -303,6 +303,19 @@ def test_a_network_that_cannot_be_made_is_told_with_the_reason():
         next(loop.iterate(CONFIG, network=Large))
 
 
+class Lazy(Given):
+    """Has a layer whose size depends on what it sees first."""
+
+    def __init__(self, a):
+        super().__init__(a)
+        self.policy = nn.LazyLinear(a.actions)
+
+
+def test_a_network_with_lazy_layers_is_refused_in_words_of_its_own():
+    with pytest.raises(ValueError, match=r"Lazy must be made of layers of known sizes, .* lazy"):
+        next(loop.iterate(CONFIG, network=Lazy))
+
+
 class DropsAnyway(Tanh):
     """Has dropout that is no module."""
 

@@ -153,6 +153,9 @@ class Trainer:
                 of_kind(f"what {config.network} makes", made, nn.Module)
                 if isinstance(made, Recurrent):
                     bounded(f"memory of {config.network}", getattr(made, "memory", None), 1, MOST)
+                if any(map(nn.parameter.is_lazy, made.parameters())):
+                    told = "layers of known sizes, which its Architecture has; got lazy ones"
+                    raise ValueError(f"{name} must be made of {told}")
                 count = sum(x.numel() for x in made.parameters())
                 if config.scale != 1:
                     plain = hollow(replace(self.architecture, scale=1), self.build).parameters()
@@ -163,16 +166,13 @@ class Trainer:
             if "overflow" not in f"{error}".lower():
                 of = f"{name} cannot be made for observations of {self.architecture.shape}"
                 raise ValueError(f"{of}: {brief(error)}") from error
-            raise MemoryError(  # more than there are addresses
-                f"a network of width {config.width} and scale {config.scale} has too many weights "
-                "for any memory"
-            ) from error
+            of = f"a network of width {config.width} and scale {config.scale}"
+            raise MemoryError(f"{of} has too many weights for any memory") from error
         samples = (config.num_steps + 1) * len(self.player.images)
         if config.device == "cpu":
-            check_memory(
-                PER_WEIGHT * count + samples * (shown * self.player.images.itemsize + PER_SAMPLE),
-                f"{count:,} weights and rollouts of {samples:,} samples",
-            )
+            each = shown * self.player.images.itemsize + PER_SAMPLE
+            told = f"{count:,} weights and rollouts of {samples:,} samples"
+            check_memory(PER_WEIGHT * count + samples * each, told)
 
     def repeat(
         self, function: Callable[[Tensor], dict[str, Tensor]], indices: Tensor
