@@ -251,6 +251,34 @@ def test_a_network_of_ones_own_remembers_by_the_same_interface():
     assert loop.update(trainer, loop.collect(trainer), 1e-3)["first_kl"] < 1e-9
 
 
+class Writes(Own):
+    """Counts in the state that it is given."""
+
+    def recall(self, observation, state, begins):
+        logits, value, _ = super().recall(observation, state, begins)
+        return logits, value, state.mul_(~begins[:, None]).add_(1)
+
+
+def test_a_network_that_writes_to_its_state_learns_as_one_that_does_not():
+    """It was said to remember otherwise in learning, since its state changed between steps."""
+    plain, writes = (loop.iterate(CONFIG, network=network) for network in (Own, Writes))
+    for _ in range(3):
+        assert next(writes).metrics == next(plain).metrics
+
+
+class Wide(Own):
+    """Returns its state in another precision."""
+
+    def recall(self, observation, state, begins):
+        *said, state = super().recall(observation, state, begins)
+        return *said, state.double()
+
+
+def test_a_network_whose_state_is_float64_is_refused():
+    with pytest.raises(ValueError, match="state must be of float32, as it is given; got float64"):
+        next(loop.iterate(CONFIG, network=Wide))
+
+
 class Onward(Own):
     """Does not notice in learning that an episode begins."""
 

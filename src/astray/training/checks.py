@@ -112,11 +112,11 @@ def check_recalled(network: nn.Module, samples: Sequences) -> None:
     """
     assert isinstance(network, Recurrent)
     shown = samples.observation[:UNROLLED]
-    _, _, state = network.recall(shown[0], samples.state, samples.begins[0])
+    _, _, state = network.recall(shown[0], samples.state.clone(), samples.begins[0])
     steps, places = (torch.arange(n, device=state.device) for n in shown.shape[:2])
     begins = (steps[:, None] + places) % 3 == 2
     some, acted = slice(None, None, 2), []
-    learned = network.unroll(shown, state, begins)[:2]
+    learned = network.unroll(shown, state.clone(), begins)[:2]
     state = state[some]
     for seen, first in zip(shown[:, some], begins[:, some], strict=True):
         *said, state = network.recall(seen, state * ~first[:, None], first)

@@ -29,8 +29,7 @@ class Rollout:
             memory: Size of the network's state, 0 without memory.
         """
         self.player, self.slots, device = player, slots, torch.device(player.device)
-        n, *shape = player.images.shape
-        kind = player.images.dtype
+        (n, *shape), kind = player.images.shape, player.images.dtype
         self.observation = torch.empty((slots + 1, n, *shape), dtype=kind, device=device)
         self.action = torch.empty((slots + 1, n), dtype=torch.int64, device=device)
         self.log_probability, self.value = torch.empty((2, slots + 1, n), device=device)
@@ -54,7 +53,7 @@ class Rollout:
         if t:  # otherwise a rollout begins where the last one ended
             self.state[where] = self.after[where]
         self.begins[slot, where] = torch.from_numpy(begins).to(self.begins.device)
-        return self.state[where], self.begins[slot, where]
+        return self.state[where].clone(), self.begins[slot, where]  # a network may write to it
 
     def note(self, step: Stepped) -> None:
         """Record the results of a step."""
@@ -102,15 +101,16 @@ def act(network: Callable, noise: Tensor, *shown_here: Tensor) -> tuple[Tensor, 
 
     A network with memory also returns its new states. ValueError is raised for anything else.
     """
-    returned = network(*shown_here)
     wanted = [tuple(noise.shape), (len(noise),), *(tuple(x.shape) for x in shown_here[1:2])]
-    parts = returned if isinstance(returned, tuple | list) else [returned]
+    parts = returned if isinstance(returned := network(*shown_here), tuple | list) else [returned]
     got = [tuple(x.shape) if isinstance(x, Tensor) else type(x).__name__ for x in parts]
     if got != wanted:
         raise ValueError(
             f"a network must return logits, values and, with memory, its state, {wanted}; got {got}"
         )
     logits, value, *state = parts
+    if [x.dtype for x in state] == [torch.float64]:
+        raise ValueError("a network's state must be of float32, as it is given; got float64")
     return *ppo.sample(logits, noise), value, *state
 
 
