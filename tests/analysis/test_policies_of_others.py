@@ -102,6 +102,16 @@ def test_the_network_of_a_model_sees_planes_as_the_model_does():
     assert values.shape == (2,)
 
 
+def test_a_model_of_stacked_frames_is_told_that_none_are_stacked_here():
+    """It was advised to take symbols or images, of which it had seen the right ones."""
+    sb3 = pytest.importorskip("stable_baselines3")
+    env = sb3.common.vec_env.DummyVecEnv([partial(Room, "anywhere")])
+    stacked = sb3.common.vec_env.VecFrameStack(env, 4)
+    model = sb3.PPO("MlpPolicy", stacked, n_steps=8, batch_size=8, device="cpu")
+    with pytest.raises(ValueError, match="stacks no frames, as VecFrameStack does; a Function"):
+        played(from_sb3(model), 3)
+
+
 class Shown(Room):
     """The room as an image of 64 x 64, with its colours first or last."""
 

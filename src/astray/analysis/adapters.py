@@ -20,7 +20,8 @@ from astray.imports import guarded
 from astray.training.trainer import Trainer
 from astray.validation import brief, check_words, of_kind, one_of, shown
 
-LEARNED_FROM = "from_sb3 takes observation='image' or 'symbolic', as a model learned of a game"
+LEARNED_FROM = "from_sb3 takes observation='image' or 'symbolic', as a model learned of a game; got"
+STACKED = "It stacks no frames, as VecFrameStack does; a Function(..., remembers=True) can."
 
 
 class Model(Protocol):
@@ -114,7 +115,7 @@ def from_sb3(
         try:
             actions, state = model.predict(seen, state, begins, deterministic=greedy)
         except ValueError as error:
-            raise ValueError(f"{brief(error)} {LEARNED_FROM}; got {observation!r}") from error
+            raise ValueError(f"{brief(error)} {LEARNED_FROM} {observation!r}. {STACKED}") from error
         return actions, state and tuple(np.swapaxes(part, 0, 1) for part in state)
 
     network = None if scaler and scaler.norm_obs else _network_of(model, observation)

@@ -381,8 +381,7 @@ class Opaque(_Asks):
         return self.policy.name
 
     def actions(self, turn: Turn) -> Answer:
-        drawn = self.policy
-        if isinstance(drawn, Random):
+        if isinstance(drawn := self.policy, Random):
             drawn = replace(drawn, seed=drawn.seed + self.seed)
         return drawn.actions(turn)
 
