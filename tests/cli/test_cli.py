@@ -110,6 +110,11 @@ def test_levels_from_files_are_edited_and_played(astray, run_folder, tmp_path):
     assert episodes["name"].to_list() == ["0.txt", "1.txt", "2.txt"]
     assert episodes["reached_goal"].is_not_null().all()
 
+    (folder / "3.txt").write_text(f"; the first\n{(folder / '0.txt').read_text()}")
+    said = astray("evaluate", run_folder, "--levels", folder, fails=True)
+    assert "0.txt and 3.txt in" in said and "are one level; give it once" in said
+    (folder / "3.txt").unlink()
+
     actions.write_text("stay")
     words = ("replay", "maze", "anywhere-small", "--actions", actions, "--level-file")
     assert "return 0, not ended" in astray(*words, folder / "0.txt")

@@ -241,6 +241,10 @@ def _outcomes(
         if isinstance(game, World) or isinstance(variant, WorldVariant):
             raise ValueError(f"levels of {game.name} are numbers; got the file {levels}")
         chosen = read_levels(levels, game, variant, solvable=solvable)
+        known: dict[bytes, str] = {}
+        for one, level in chosen.items():  # intervals would count it as several
+            if (first := known.setdefault(level.state(solvable=False).tobytes(), one)) != one:
+                raise ValueError(f"{first} and {one} in {levels} are one level; give it once")
     episodes = play_all(game, name, variant, shift, chosen, policies, trial=True, **how)
     return rated(episodes, game, load_shift(game, shift), [*dict.fromkeys(how["names"])])
 
