@@ -28,6 +28,17 @@ def test_studies_of_one_module_have_reports_of_their_own(tmp_path, monkeypatch):
     assert names == ["mine-all", "mine-all-early-one"]
 
 
+def test_studies_whose_names_differ_in_case_alone_are_refused(tmp_path, monkeypatch):
+    source = "from dataclasses import replace\nfrom astray.experiments.catalogue import load\n"
+    source += "Late, late = load('maze-corner'), replace(load('maze-corner'))\n"
+    (tmp_path / "mine_alike.py").write_text(f"{source}LATE = replace(late, name='third')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("Late", "late"):
+        with pytest.raises(ValueError, match=r"of mine_alike would share the report 'mine-alike-"):
+            catalogue.find(f"mine_alike:{name}")
+    assert catalogue.find("mine_alike:LATE")[0] == "third"
+
+
 def noted(plan, folder):
     text, digest = run.inputs(plan, {}, catalogue.load("maze-corner"))
     run.note(text, digest, folder)

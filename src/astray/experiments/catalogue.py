@@ -7,6 +7,7 @@ in other modules or files; `find` accepts them too.
 import importlib
 import importlib.util
 import re
+import sys
 import traceback
 from pathlib import Path
 
@@ -53,6 +54,11 @@ def find(experiment: str | Experiment) -> tuple[str, Experiment]:
         module, _, its = experiment.partition(":")  # its own name, too: a module may have several
         name = f"{module.rpartition('.')[2]} {its}".removesuffix(" EXPERIMENT")
         study = imports.find(experiment)
+        for other, twin in vars(sys.modules[module]).items():  # names may differ in case alone
+            are_two = twin is not study and slug(other) == slug(its)
+            if are_two and all(isinstance(x, Experiment) and not x.name for x in (twin, study)):
+                told = f"would share the report {slug(name)!r}; give one of them a name"
+                raise ValueError(f"{its} and {other} of {module} {told}")
     elif experiment.endswith(".py"):
         name, study = Path(experiment).stem, _run(Path(experiment))
     else:
@@ -75,9 +81,8 @@ def _run(path: Path) -> object:
     except SyntaxError as error:
         raise ValueError(f"{path} must be a file of Python; {brief(error)}") from error
     except Exception as error:
-        lines = [
-            f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)
-        ]
+        calls = traceback.extract_tb(error.__traceback__)
+        lines = [call.lineno for call in calls if call.filename == str(path)]
         where = f"{path}, line {lines[-1]}" if lines else f"{path}"
         raise ValueError(f"{where}: {type(error).__name__}: {brief(error)}") from error
     if not hasattr(module, "EXPERIMENT"):
