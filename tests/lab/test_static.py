@@ -155,6 +155,27 @@ def test_a_drawn_level_of_coinrun_begins_and_ends_where_it_does_in_python(page, 
             assert mine["state"][name] == python["state"][name], name
 
 
+@pytest.mark.parametrize(
+    "game, variant, looks",
+    [
+        ("keys", "many-keys-small", {"details": [[0, 0, 0.25, 0.5]]}),
+        ("heist", "small", {"details": [[0, 0, 0.25, 0.5]]}),
+        ("heist", "small", {"hand": ["purple"]}),
+    ],
+)
+def test_looks_of_a_thing_that_is_gone_are_refused_as_in_python(page, game, variant, looks):
+    asked = {"kind": "level", "game": game, "variant": variant, "agent": ""}
+    _, there = both(page, **asked, level=3)
+    level = {name: there["level"][name] for name in ("grid", "agent", "looks")}
+    same, _ = both(page, **asked, level=level)
+    assert same["text"] == there["text"]
+    asked["level"] = level | {"looks": level["looks"] | looks}
+    (refused,) = Session(make_lab("maze-corner", {})).answers(json.dumps({"id": 1} | asked))
+    told = page.evaluate("(m) => lab.engine.ask(m).catch((error) => error.message)", asked)
+    assert "in this level []" in refused["error"] or refused["error"].endswith(told)
+    assert "which has none" in told or "unknown key 'purple'" in told
+
+
 SPLAYED = """async (m) => {
   const { splayed } = await import(new URL("engine/levels.js", location.href));
   const levels = splayed(await lab.engine.world(m), "crate", null, lab.about.games.coinrun);

@@ -14,7 +14,10 @@ export const rules = rulesOf(game, {
 
 function build(s, p, level) {
   begin(game, s, p, level);
-  for (const name of level.looks.hand ?? []) s.hand |= 1 << COLOURS.indexOf(name);
+  for (const name of level.looks.hand ?? []) {
+    if (!COLOURS.includes(name)) throw new Error(`unknown key '${name}'; there are: ${COLOURS.join(", ")}`);
+    s.hand |= 1 << COLOURS.indexOf(name);
+  }
   s.keys |= s.hand;
   s.all_keys = s.hand && s.hand === s.keys ? 0 : NEVER;
 }

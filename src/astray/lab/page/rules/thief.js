@@ -22,6 +22,8 @@ export function begin(game, s, p, { grid, cell, looks }) {
   game.wind(s, Math.max(s.twister, 0), s.twister_at);
   for (const [x, y] of objects) game.put(s, grid[y][x], x, y);
   if (looks.details) { // where things are in their cells
+    const gone = looks.details.find(([x, y]) => !(grid[y]?.[x] > WALL));
+    if (gone) throw new Error(`a level's looks tell of a thing at cell (${gone[0]}, ${gone[1]}), which has none`);
     const beside = new Map(looks.details.map(([x, y, ...where]) => [`${x},${y}`, where]));
     objects.forEach(([x, y], k) => {
       const [right, up] = beside.get(`${x},${y}`) ?? [0.5, 0.5];
