@@ -16,10 +16,11 @@ from helpers.browsed import ROOM, wait
 # Cells that show one widget, whose kernel tells its answers to all; `passed` has the keys that the
 # notebook hears.
 CELLS = """async ([loader, modules, count]) => {
-  const heard = [];
+  const heard = new Set();
   const model = {
     get: (name) => ({ modules })[name],
-    on: (_, hear) => heard.push(hear),
+    on: (_, hear) => heard.add(hear),
+    off: (_, hear) => heard.delete(hear),
     send: async (text) => {
       for (const answer of await kernel(text)) heard.forEach((hear) => hear(answer));
     },
@@ -30,7 +31,9 @@ CELLS = """async ([loader, modules, count]) => {
   document.body.replaceChildren(...cells);
   globalThis.passed = [];
   document.addEventListener("keydown", ({ key }) => passed.push(key));
-  for (const el of cells) await widget.render({ model, el });
+  globalThis.clears = [];
+  for (const el of cells) clears.push(await widget.render({ model, el }));
+  globalThis.listening = () => heard.size;
   globalThis.labs = cells.map((el) => el.lab);
   globalThis.lab = labs[0];
 }"""
@@ -73,6 +76,14 @@ def test_cells_of_one_widget_do_not_take_each_other_s_answers(chrome, static):
         both = "[lab.open(3), labs[1].open(5)]"
         assert page.evaluate(f"Promise.all({both})") == [True, True]
         assert page.evaluate("labs.map((lab) => lab.number)") == [3, 5]
+
+
+def test_a_cell_that_is_cleared_listens_no_longer(chrome, static):
+    with notebook(chrome, static, cells=2) as page:
+        page.evaluate("clears[0](), labs.forEach((lab) => lab.editor.pressed.add('a'))")
+        assert page.evaluate("listening()") == 1 and page.evaluate("labs[1].open(5)")
+        page.evaluate("dispatchEvent(new Event('blur'))")
+        assert page.evaluate("labs.map((lab) => lab.editor.pressed.size)") == [1, 0]
 
 
 def test_the_notebook_s_widget_answers_its_page():

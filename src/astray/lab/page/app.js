@@ -16,9 +16,9 @@ const SOON = 1000; // milliseconds, after which a page that loads says so
 const PLAYED_AT_ONCE = 400; // steps that an agent is handed over for
 
 export class Lab {
-  // root: the element with the page's markup; links: whether the address follows what is shown.
-  constructor(root, engine, { links = true } = {}) {
-    Object.assign(this, { root, engine, links });
+  // root: the page's markup; links: whether the address follows what is shown; signal: of its end.
+  constructor(root, engine, { links = true, signal } = {}) {
+    Object.assign(this, { root, engine, links, signal });
     this.part = (name) => root.querySelector(`[data-lab="${name}"]`);
     this.fields = new Map(); // "x,y" -> {cell, policy, value}
     this.others = new Map(); // also, of what is compared with
@@ -41,7 +41,7 @@ export class Lab {
     this.variant = start.variant;
     this.panels.begin();
     await this.open(start.level ?? 0, start.wrong ?? "");
-    globalThis.addEventListener("hashchange", () => this.follow());
+    globalThis.addEventListener("hashchange", () => this.follow(), { signal: this.signal });
     await this.follow(); // a link that came meanwhile
     this.part("main").inert = false; // before, nothing was shown that could be used
     this.panels.tour();

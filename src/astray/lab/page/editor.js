@@ -33,7 +33,7 @@ export class Editor {
       }
     });
     ear.addEventListener("keyup", (event) => this.pressed.delete(event.key));
-    globalThis.addEventListener("blur", () => this.pressed.clear());
+    globalThis.addEventListener("blur", () => this.pressed.clear(), { signal: lab.signal });
     lab.part("cursor").addEventListener("change", ({ target }) => {
       this.cursor = target.checked ? lab.level.agent.map(Math.floor) : null;
       this.held = null;

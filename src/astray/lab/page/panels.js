@@ -42,7 +42,7 @@ export class Panels {
     hear("number", "change", () => lab.open(this.#number()));
     for (const [name, by] of [["previous", -1], ["next", 1]]) hear(name, "click", () => this.#to(Math.max(this.#number() + by, 0)));
     hear("theme", "click", () => this.#theme());
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.redraw());
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.redraw(), { signal: lab.signal });
     for (const name of ["undo", "redo", "restore"]) hear(name, "click", () => lab[name]());
     hear("once", "click", () => lab.step());
     hear("hand", "click", () => lab.handOver());

@@ -17,9 +17,11 @@ function addresses(modules) {
 }
 
 // An engine that asks the notebook's kernel, as `engine/socket.js` asks a server.
-function kernelEngine(model, Questions) {
+function kernelEngine(model, Questions, signal) {
   const questions = new Questions((text) => model.send(text));
-  model.on("msg:custom", (content) => questions.hear(content));
+  const hear = (content) => questions.hear(content);
+  model.on("msg:custom", hear);
+  signal.addEventListener("abort", () => model.off("msg:custom", hear));
   return { status: () => {}, ask: (message, heard) => questions.ask(message, heard) };
 }
 
@@ -32,13 +34,16 @@ async function render({ model, el }) {
   const root = document.importNode(page.getElementById("lab"), true);
   root.classList.add("embedded");
   el.append(root);
-  const lab = new Lab(root, kernelEngine(model, Questions), { links: false });
+  const ending = new AbortController();
+  const { signal } = ending;
+  const lab = new Lab(root, kernelEngine(model, Questions, signal), { links: false, signal });
   el.lab = lab;
   // JupyterLab hears keys that no field takes: after a click on a button, "d d" deletes the cell.
   root.addEventListener("keydown", (event) => {
     if (!event.ctrlKey && !event.metaKey && !event.altKey) event.stopPropagation();
   });
   await lab.begin();
+  return () => ending.abort(); // once the cell is cleared
 }
 
 export default { render };
