@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 import tracemalloc
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -298,4 +299,20 @@ def test_a_check_that_made_a_folder_leaves_it_to_another_that_holds_it(tmp_path)
         with pytest.raises(TimeoutError), hold(tmp_path / "run", "is training in", wait=False):
             pass
     remove_made(made)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_that_is_removed_while_another_waits_for_it_is_made_anew(tmp_path, capsys):
+    """The one that waited ended with FileNotFoundError, where the first had made the folder."""
+
+    def held():
+        with hold(tmp_path / "run", "is training in"):
+            return os.listdir(tmp_path / "run")
+
+    with ThreadPoolExecutor() as pool:
+        with hold(tmp_path / "run", "is training in"):
+            second = pool.submit(held)
+            while "waiting for it" not in capsys.readouterr().err:
+                time.sleep(0.01)
+        assert second.result() == [LOCK]
     assert not (tmp_path / "run").exists()

@@ -216,15 +216,19 @@ def hold(folder: Path, doing: str, wait: bool = True) -> Iterator[None]:
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise RuntimeError(f"{folder} is held by the process that began this one{UNGUARDED}")
-    made = make_folder(folder)
-    lock = FileLock(folder / LOCK)
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        if not wait:
-            raise
-        print(f"another process {doing} {folder}; waiting for it", file=sys.stderr, flush=True)
-        lock.acquire(timeout=-1)
+    lock, seconds, made = FileLock(folder / LOCK), 0, []
+    while not lock.is_locked:
+        made += make_folder(folder)
+        try:
+            lock.acquire(timeout=seconds)
+        except FileNotFoundError:
+            if folder.exists():  # else another process had made it, and removed it again
+                raise
+        except Timeout:
+            if not wait:
+                raise
+            seconds = -1
+            print(f"another process {doing} {folder}; waiting for it", file=sys.stderr, flush=True)
     try:
         yield
     finally:
