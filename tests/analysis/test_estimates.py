@@ -276,6 +276,9 @@ def test_rates_of_tables_do_not_depend_on_the_order_of_their_rows():
     reached = episodes.select("seed", "level", reached=pl.col("outcome") == INTENDED, all=1)
     both = group_means(reached.rename({"seed": "agent"}), "reached", ["all"])
     assert told.row(0)[2:5] == both.row(0)[1:4]  # a level counts once, also where it is met twice
+    kind = reached.with_columns(agent=pl.lit("p"), run=pl.format("p/seed-{}", "seed"))
+    for same in (reached, kind):  # as episodes of `evaluate_runs`, and of a study
+        assert group_means(same, "reached", ["all"]).equals(both)
     apart = episodes.filter(pl.col("level") + 3 * pl.col("seed") < 40)  # fewer, of others
     assert rates(apart, ["policy"])["mean"][0] == (apart["outcome"] == INTENDED).mean()
     assert rates(apart.drop("seed"), ["policy"])["agents"][0] == 1

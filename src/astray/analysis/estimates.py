@@ -30,6 +30,7 @@ from astray.validation import MOST, bounded, finite, of_kind, one_of, shown
 CONFIDENCE = 0.95
 POWER = 0.8
 ROUNDED = 1e-12  # relative deviation up to which values count as equal
+AGENT = ("run", "checkpoint", "seed")  # columns of episodes that identify an agent
 
 
 def quantile(freedom: float, below: float = (1 + CONFIDENCE) / 2) -> float:
@@ -380,7 +381,8 @@ def group_means(
     """Return the mean of the column `value` in each group of `rows`, with 95 % intervals.
 
     Steps of one episode are correlated. As in `estimate_mean`, the independent units are therefore
-    agents (column "agent"; one if it is missing) and levels. Rows with a null `value` are ignored.
+    agents (columns "agent" and those of `AGENT`; one if all are missing) and levels. Rows with a
+    null `value` are ignored.
 
     Args:
         by: Columns that define the groups.
@@ -399,7 +401,7 @@ def group_means(
     missing = {value, "level", *by, *([per] if per else [])} - set(rows.columns)
     if missing:
         raise ValueError(f"no column {', '.join(sorted(missing))}; there are: {rows.columns}")
-    agent = [name for name in ("agent",) if name in rows.columns]
+    agent = [name for name in (*AGENT, "agent") if name in rows.columns]
     known, found = rows.drop_nulls(value), []
     if known.is_empty():
         raise ValueError(f"no row of {len(rows)} has a value of {value!r}")

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from astray import world
-from astray.analysis.estimates import estimate_rows
+from astray.analysis.estimates import AGENT, estimate_rows
 from astray.analysis.policies import Walk
 from astray.estimate import Estimate
 from astray.game import Game, More, Never, Outcome, Shift, Truncated, Variant
@@ -21,7 +21,6 @@ from astray.outcome import OUTCOMES as OUTCOMES
 from astray.validation import of_kind, one_of, shown
 from astray.world import World, WorldVariant
 
-AGENT = ("run", "checkpoint", "seed")  # columns that identify an agent
 REACHED_NEITHER = ~pl.col("outcome").is_in([INTENDED, MISGENERALIZED])  # an end or a failure
 
 
