@@ -166,6 +166,9 @@ def test_episodes_of_a_world_that_tells_its_cells_are_measured():
         assess_policy(Walk("end"), world, world.variant("end"), "end", [1], "Paper")
     with pytest.raises(ValueError, match="'room' has no cells, which this needs: World"):
         play(Walk("end"), rooms.WORLD, rooms.WORLD.variant("end"), [1], world.shifts["end"])
+    drawn = replace(world, repeats=False)  # as of streams
+    with pytest.raises(ValueError, match=r"cells of room, a World\(repeats=False\), are read in"):
+        assess_policy(Walk("end"), drawn, drawn.variant("end"), "end", [1])
 
 
 def test_levels_that_share_their_arrays_are_measured_as_others():

@@ -97,6 +97,9 @@ def _layouts(world: World, variant: WorldVariant, levels: Any) -> list[Layout]:
             f"the world {world.name!r} has no cells, which this needs: World(cells=...) is a "
             "function of the environment that returns a Layout"
         )
+    if not world.repeats:
+        told = "are read in another episode than is measured, which would be of another level"
+        raise ValueError(f"cells of {world.name}, a World(repeats=False), {told}")
     env, found = witnessed(world, variant), []
     for level in levels:
         env.reset(seed=int(level))
