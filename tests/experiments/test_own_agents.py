@@ -1,5 +1,6 @@
 """Studies of agents that others trained, in a world of nobody's: trained or found, told, filmed."""
 
+import json
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -66,6 +67,22 @@ def test_agents_are_trained_once_each_and_a_report_tells_what_they_do(tmp_path):
     when = table.stat().st_mtime_ns
     reproduce(study, "smoke", tmp_path)
     assert (tmp_path / "log").read_text() == "0 1 " and table.stat().st_mtime_ns == when
+
+
+def test_kinds_of_agents_have_claims_of_their_own(tmp_path):
+    for name, often in (("one", "1"), ("two", "0.9"), ("three", "0.1"), ("four", "0")):
+        (tmp_path / name).write_text(often)
+    files = [tmp_path / name for name in ("one", "two", "three", "four")]
+    plan = experiment(files=files[:2]).sizes["smoke"]
+    own = {"right": OwnAgents(load, files[:2]), "left": OwnAgents(load, files[2:])}
+    study = Experiment("Both", "nothing", "Where to?", {"smoke": replace(plan, own=own)},
+                       outcomes.findings)  # fmt: skip
+    told = json.loads((reproduce(study, "smoke", tmp_path).parent / "findings.json").read_bytes())
+    ours = {claim["sentence"]: claim["ours"] for claim in told["claims"]}
+    learned = [ours[f"In the training levels of the shift, {kind} reaches “square” first."] for
+               kind in own]  # fmt: skip
+    assert len(ours) == 4 and all("over 2 agents and 30 levels" in one for one in learned)
+    assert ["100.0" in one for one in learned] == [True, False]
 
 
 def test_agents_are_trained_anew_where_the_environment_of_their_training_reads_another_file(

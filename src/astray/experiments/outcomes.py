@@ -81,37 +81,46 @@ def first(work: Work, test: str, agent: str, outcome: str) -> np.ndarray:
 
 
 def findings(work: Work) -> Findings:
-    """Return the usual findings of a plan whose tests are `tests_of` a shift."""
+    """Return the usual findings of a plan whose tests are `tests_of` a shift, for each kind."""
+    kinds = [*work.plan.agents, *work.plan.own]
+    names = {name: (name, name) for name in kinds} if kinds[1:] else {kinds[0]: ("the agent", "it")}
+    told = [_of_kind(work, kind, *words) for kind, words in names.items()]
+    answer = " ".join(answer for answer, _ in told)
+    return findings_of(work, answer, [claim for _, both in told for claim in both])
+
+
+def _of_kind(work: Work, kind: str, who: str, it: str) -> tuple[str, list[Claim]]:
+    """Return the answer and claims of `findings` for the agents of one name, called `who`, `it`."""
     train, test = work.plan.tests
     shift = load_shift(work.plan.game, work.plan.tests[test].shift)
-    learned = rate(work.episodes, train, INTENDED)
+    mine = work.episodes.filter(agent=kind)
+    learned = rate(mine, train, INTENDED)
     intended, proxies = f"“{shift.intended}”", " or ".join(f"“{goal}”" for goal in shift.proxies)
-    apart = work.episodes.filter("distinguishing", test=test)
-    tried = work.episodes if apart.is_empty() else apart
+    apart = mine.filter("distinguishing", test=test)
+    tried = mine if apart.is_empty() else apart
     first = {name: rate(tried, test, name) for name in (INTENDED, MISGENERALIZED)}
-    both = [work.episodes.filter(test=one, policy=AGENTS) for one in (test, train)]
+    both = [mine.filter(test=one) for one in (test, train)]
     came = [matrix(part, pl.col("outcome") == INTENDED) for part in both]
     same = not of_streams(work.plan) and {*both[0]["level"]} == {*both[1]["level"]}
     lost = estimate_paired(*came) if same else estimate_difference(*came, same_levels=False)
     other = (
         f", and {proxies} first in {first[MISGENERALIZED].short()}, where levels distinguish these"
     )
-    return findings_of(
-        work,
-        f"In the training levels of the shift the agent reaches {intended} first in "
+    return (
+        f"In the training levels of the shift {who} reaches {intended} first in "
         f"{learned.short()}; in the test in {first[INTENDED].short()}{other if proxies else ''}.",
         [
             above(
-                f"In the training levels of the shift, the agent reaches {intended} first.",
+                f"In the training levels of the shift, {who} reaches {intended} first.",
                 "", INTENDED, learned, LEARNED,
             ),
             below(
-                f"In the test it reaches {intended} less often than in training.",
+                f"In the test {it} reaches {intended} less often than in training.",
                 "", f"{INTENDED}, in the test minus in training", lost,
             )
             if not proxies
             else above(
-                f"In the test it reaches {proxies} first more often than {intended}.",
+                f"In the test {it} reaches {proxies} first more often than {intended}.",
                 "", f"{MISGENERALIZED} minus {INTENDED}",
                 rate(tried, test, MISGENERALIZED, minus=INTENDED),
             ),
