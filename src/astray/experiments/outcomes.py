@@ -56,9 +56,12 @@ def rate(
         minus_test: Another test, whose rate in the same levels is subtracted.
 
     Raises:
-        ValueError: If a test or outcome does not exist.
+        ValueError: If a test or outcome does not exist, or agents are of several names.
     """
     part = episodes.filter(pl.col("test") == test, pl.col("policy") == AGENTS)
+    if len(names := sorted({*part["agent"].drop_nulls()} if "agent" in part.columns else {})) > 1:
+        told = f"got {', '.join(names)}: filter(agent=...) chooses one"
+        raise ValueError(f"a rate must be of agents of one name; {told}")
     came = matrix(part, pl.col("outcome") == outcome)
     if minus_test:
         other = episodes.filter(pl.col("test") == minus_test, pl.col("policy") == AGENTS)
