@@ -200,6 +200,19 @@ def test_a_curve_goes_from_the_novice_to_the_expert(mouse):
     assert (table["seconds"] > 0).all() and len(PERCENTILES) == 8
 
 
+def test_a_function_is_a_score_by_its_own_name():
+    def late(env, observations):
+        return env.states["time"]
+
+    trial = Trial("maze", SHIFT, CORNER, range(4), ANYWHERE, LEVELS[:4])
+    how = Walk("corner"), Walk("cheese"), [late, Chance()], trial
+    assert {*oversight.curves(*how, percentiles=[50.0])["score"]} == {"late", "random"}
+    assert {*when_asked(how[0], how[2], trial)["score"]} == {"late", "random"}
+    for same in ([late, late], [Chance(1), Chance(2)]):  # `area` would take them for one
+        with pytest.raises(ValueError, match="scores must have names of their own; got"):
+            oversight.curves(*how[:2], same, trial)
+
+
 @pytest.mark.thorough  # `test_a_curve_goes_from_the_novice_to_the_expert`
 def test_what_curves_share_is_as_if_each_point_were_played_by_itself(mouse):
     watch = Watch(lambda s: s["time"] >= 2, lambda s: s["time"] >= 6)

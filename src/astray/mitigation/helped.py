@@ -123,6 +123,13 @@ class Alone(_Shown):
         of_kind("scores", self.scores, Sequence)
         for score in self.scores:
             of_kind("a score", score, Callable)
+        if len({*self.names}) < len(self.names):  # tables have them together
+            raise ValueError(f"scores must have names of their own; got {', '.join(self.names)}")
+
+    @property
+    def names(self) -> list[str]:
+        """The name of each score; a function has its own."""
+        return [str(getattr(one, "name", getattr(one, "__name__", one))) for one in self.scores]
 
     def actions(self, turn: Turn) -> Answer:
         """Return the novice's actions; raise ValueError unless there are scores of each episode."""

@@ -139,7 +139,7 @@ def curves(
         ]
         rows = [
             {
-                "score": score.name,
+                "score": alone.names[k],
                 "granularity": granularity,
                 "percentile": percentile,
                 "threshold": limit,
@@ -251,8 +251,8 @@ def when_asked(
     _, known = play_alone(alone, trial.game, trial.training, trial.training_levels)
     played, said = play_alone(alone, trial.game, trial.test, trial.test_levels, trial.watch)
     played, parts = label(played, games.find(trial.game), trial.shift), []
-    for k, score in enumerate(scores):
+    for k, name in enumerate(alone.names):
         limit = threshold(known.select("level", score=f"{k}"), percentile, "step")
         asked = unheeded(played, said, f"{k}", limit)
-        parts.append(asked.select(pl.lit(score.name).alias("score"), pl.all()))
+        parts.append(asked.select(pl.lit(name).alias("score"), pl.all()))
     return pl.concat(parts)
