@@ -10,15 +10,20 @@ import hashlib
 import importlib.util
 import re
 import sys
+from argparse import Namespace
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from importlib.machinery import ModuleSpec
-from pathlib import Path
-from types import FunctionType, MethodType, ModuleType
+from pathlib import Path, PurePath
+from types import CodeType, FunctionType, MethodType, ModuleType, SimpleNamespace
 from typing import Any
+
+import numpy as np
 
 Root = ModuleType | FunctionType | type
 ITSELF = "astray"  # of whose own imports only its own modules are followed
 INSTALLED = {"site-packages", "dist-packages"}  # names of folders
+PLAIN = (bool, int, float, complex, str, bytes, type(None), PurePath, np.generic)  # of values
 LIBRARIES = {"gymnasium", "numba", "numpy", "torch"}  # whose objects games and agents consist of
 # A parser takes 100 ms for what a game imports, this 7; with names as a list in parentheses or not.
 IMPORT = re.compile(
@@ -70,6 +75,56 @@ def sources(*things: object, known: Collection[str] = ()) -> dict[str, str] | No
         if spec and (package in packages or not INSTALLED & {*Path(spec.origin or "").parts}):
             todo += _imported(source, name, spec)
     return {name: found[name] for name in found.keys() - set(known)}
+
+
+def values(thing: Any, passed: dict[int, Any] | None = None) -> Iterator[str]:
+    """Yield the values that a function or a record carries, which no source tells.
+
+    They are those of closures, defaults, partial arguments, attributes, parts, and of the globals
+    that a function of a script may have from its command line.
+    """
+    if isinstance(thing, PLAIN):
+        yield repr(thing)
+    elif isinstance(thing, np.ndarray):
+        yield f"{thing.dtype} {thing.shape} {hashlib.sha256(thing.tobytes()).hexdigest()}"
+    elif isinstance(thing, set | frozenset):
+        yield from sorted(one for part in thing for one in values(part, passed))
+    elif id(thing) not in (passed := {} if passed is None else passed):
+        passed[id(thing)] = thing
+        for part in _carried(thing):
+            yield from values(part, passed)
+
+
+def _carried(thing: Any) -> Iterable[Any]:
+    """Return the parts of a thing in which there may be values."""
+    own = getattr(thing, "__dict__", {})
+    if isinstance(thing, ModuleType | type):
+        return ()
+    if isinstance(thing, FunctionType):
+        cells = [cell.cell_contents for cell in thing.__closure__ or ()]
+        there = thing.__globals__
+        named = [there[name] for name in sorted({*_names(thing.__code__)} & there.keys())]
+        return [cells, thing.__defaults__, thing.__kwdefaults__] + [
+            one
+            for one in named  # others may change with use, as a cache does
+            if isinstance(one, (*PLAIN, tuple, SimpleNamespace, Namespace))
+            or getattr(one, "__globals__", None) is there
+        ]
+    if isinstance(thing, Mapping):
+        return [part for item in thing.items() for part in item]
+    if is_dataclass(thing):  # other fields follow from these, or change with use
+        return [getattr(thing, one.name) for one in fields(thing) if one.init]
+    if isinstance(thing, functools.partial | MethodType | tuple | list) or "py_func" in own:
+        return _parts(thing) or ()
+    return own.items() if " at 0x" in (told := repr(thing)) else [told]
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    """Yield the names in a function's code, and in that of functions within."""
+    yield from code.co_names
+    for one in code.co_consts:
+        if isinstance(one, CodeType):
+            yield from _names(one)
 
 
 def see(function: FunctionType) -> None:

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from types import FunctionType, SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -14,7 +15,7 @@ from astray.analysis.adapters import Function
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.experiments import outcomes, spec
-from astray.experiments.run import own_runs, reproduce, resolved
+from astray.experiments.run import inputs, own_runs, reproduce, resolved
 from astray.experiments.spec import Experiment, OwnAgents, Plan
 from astray.training.config import Config
 from helpers.lava import GAME as LAVA
@@ -102,6 +103,39 @@ def test_agents_are_trained_anew_where_the_environment_of_their_training_reads_a
             (tmp_path / f"light-{place}").write_text(light)
         folders.append(own_runs(plan, "right", tmp_path))
     assert folders[0] == folders[1] != folders[2]
+
+
+class Trains:
+    def __init__(self, rate):
+        self.rate = rate
+
+    def __call__(self, seed, folder):
+        train(seed, folder)
+
+
+def carrying(way, rate):
+    """Return a function that trains, and carries a rate in that way."""
+    code = (lambda seed, folder: train(seed, folder) or (lambda: RATE)).__code__  # noqa: F821
+    return {
+        "closure": lambda seed, folder: train(seed, folder) or rate,
+        "default": lambda seed, folder, rate=rate: train(seed, folder),
+        "global": FunctionType(code, {**globals(), "RATE": rate}),
+        "attribute": Trains(rate),
+        "method": Trains(rate).__call__,
+        "partial": partial(lambda rate, *given: train(*given), SimpleNamespace(rate=rate)),
+    }[way]
+
+
+@pytest.mark.parametrize("way", ["closure", "default", "global", "attribute", "method", "partial"])
+def test_agents_and_tables_are_computed_anew_where_a_function_carries_another_value(way, tmp_path):
+    folders, digests = [], []
+    for rate in (0.5, 0.5, 0.25):  # as in a loop, or of a command line: the source is one
+        plan = experiment(train=carrying(way, rate)).sizes["smoke"]
+        folders.append(own_runs(plan, "right", tmp_path))
+        measured = replace(plan, measures={"far": carrying(way, rate)})
+        digests.append(inputs(measured, {"right": folders[0]})[1])
+    assert folders[0] == folders[1] != folders[2]
+    assert digests[0] == digests[1] != digests[2]
 
 
 def test_agents_that_astray_trains_have_a_folder_for_each_state_of_your_code(tmp_path, monkeypatch):

@@ -195,7 +195,7 @@ def own_runs(plan: Plan, name: str, root: Path) -> list[Path]:
         if missing := [path for path in found if not path.exists()]:
             raise FileNotFoundError(f"there is no agent {name!r} at {missing[0]}")
         return found
-    settings = [getattr(given.train, part, None) for part in ("args", "keywords")]  # of a partial
+    settings = [*provenance.values(given.train)]
     if isinstance(plan.world, World):
         trained_in, variant = {s.train for s in plan.world.shifts.values()}, plan.world.variant
         level = plan.first_level or 0
@@ -310,6 +310,7 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
     loaded = [sys.modules[name] for name in catalogue.MODULES.values() if name in sys.modules]
     study = [module for module in loaded if module.EXPERIMENT is whole]
     code = (whole.find, study) if whole else ()
+    played = [plan.world, *(one.load for one in plan.own.values())]
     data = {
         "configs": {n: [c.identity() for c in made] for n, made in plan.trainings().items()},
         "published": [read_config(runs[n][0]).identity() for n in runs if n in plan.published],
@@ -319,6 +320,7 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
         "visited": {name: asdict(test) for name, test in plan.visited.items()},
         "levels": [plan.first_level, plan.levels, plan.longest],
         "measures": [*plan.measures, *plan.rewards],
+        "values": [*provenance.values([*code[:1], plan.measures, plan.rewards, *played])],
         "pretrained": [agent_digest(folders.find(name)) for name in folders.pretrained()],
         "resolved": resolved(plan),
         "sources": provenance_of(
