@@ -283,6 +283,7 @@ def _trainings() -> dict[str, tuple[Callable[[Place], Any], Any]]:
             steps=32,
             width=4,
         )
+        Odd.__qualname__, globals()["Odd"] = "Odd", Odd  # settings name it
         train(config, place.work / "there", sampler=Odd, progress=False)
 
     found: dict[str, tuple[Callable[[Place], Any], Any]] = {}
