@@ -82,6 +82,22 @@ def test_what_a_policy_needs_besides_is_said(astray, verb):
         )
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("evaluate", "--policy", "random", "--levels", "0:3"),
+        ("audit", "--policy", "random", "--num-levels", "3"),
+        ("compare", "random", "walk:end", "--levels", "0:3"),
+    ],
+)
+def test_the_only_shift_of_a_world_needs_no_name(astray, words, tmp_path):
+    out = tmp_path / ("table.parquet" if words[0] == "evaluate" else "pages")
+    astray(*words, "--world", "helpers.rooms:WORLD", "--out", out)
+    assert out.exists()
+    said = astray(*words, "--game", "maze", "--out", tmp_path / "2.parquet", fails=True)
+    assert "there are: corner, " in said
+
+
 def test_an_agent_and_a_policy_are_not_one(astray):
     said = astray("agency", "maze-corner", "--policy", "random", *IN_MAZE, fails=True)
     assert "replaces an agent: give one of them" in said

@@ -78,14 +78,20 @@ def load_agent(run: str | Path, mode: Mode = "sampled", art: str | None = None) 
     return open_run(run, mode, art)[0]
 
 
-def shift_of(config: Config) -> str:
+def shift_of(config: Config | None, game: Any = None) -> str:
     """Return the shift whose training variant the run used, or else the test variant.
 
-    An agent trained on the test variant of others is their control.
+    An agent trained on the test variant of others is their control. A policy without a run has the
+    only shift of its `game`.
 
     Raises:
-        ValueError: If no shift has the run's variant.
+        ValueError: If no shift has the run's variant, or there are several for a policy.
     """
+    if config is None:
+        if len(game.shifts) != 1:
+            there = ", ".join(game.shifts) or "none"
+            raise ValueError(f"a policy needs a shift of {game.name} by name; there are: {there}")
+        return next(iter(game.shifts))
     game = config.find_game()
     shifts = game.shifts.items()
     found = [name for name, shift in shifts if shift.train == config.variant]

@@ -133,7 +133,7 @@ def evaluate(
     Raises:
         ValueError: If options do not go together.
     """
-    from astray.analysis.runs import evaluate_policies, evaluate_runs
+    from astray.analysis.runs import evaluate_policies, evaluate_runs, shift_of
 
     bounded("batch", batch, 1, MOST)
     played = None
@@ -152,7 +152,8 @@ def evaluate(
     player, rules, config = policy.open(agents, tested.acting, {"--shift": tested.shift})
     tested.acting.check_seen(player)
     if config is None:
-        test: Any = {"shift": tested.shift, "levels": played, "variant": tested.variant}
+        shift = shift_of(None, rules) if tested.shift is None else tested.shift
+        test: Any = {"shift": shift, "levels": played, "variant": tested.variant}
         result = evaluate_policies([player], rules, **test, knobs=pairs(tested.knobs), **how)
     else:
         result = evaluate_runs(agents, played, pool=pool, **tested.words(), **how)

@@ -160,7 +160,8 @@ class OwnPolicy:
                 raise ValueError(f"--policy {self.policy} replaces an agent: give one of them")
             for option in (option for option, given in needs.items() if not given):
                 there = getattr(self.rules(), f"{option.removeprefix('--')}s")
-                raise ValueError(f"--policy needs {option}; there are: {', '.join(there)}")
+                if option != "--shift" or len(there) != 1:
+                    raise ValueError(f"--policy needs {option}; there are: {', '.join(there)}")
             return True
         agents = [agents] if isinstance(agents, Path) else agents
         for name in ("game", "observation"):
@@ -280,7 +281,7 @@ class TestedPlayer:
         tested = self.tested
         needs = {"--shift": tested.shift}
         player, rules, config = self.policy.open(self.agent, tested.acting, needs)
-        shift = shift_of(config) if tested.shift is None else tested.shift  # pyrefly: ignore
+        shift = shift_of(config, rules) if tested.shift is None else tested.shift
         name = load_shift(rules, shift).test if tested.variant is None else tested.variant
         return player, rules, name, played(rules, name, tested.knobs, config), shift, config
 

@@ -192,9 +192,7 @@ def compare(
         )
     config = configs[0] if configs else None
     rules = config.find_game() if config else own.rules()
-    if tested.shift is None and config is None:
-        raise ValueError("policies need --shift: which goal is intended, and which are proxies")
-    shift = shift_of(config) if tested.shift is None else tested.shift  # pyrefly: ignore
+    shift = shift_of(config, rules) if tested.shift is None else tested.shift
     name = load_shift(rules, shift).test if tested.variant is None else tested.variant
     variant = played(rules, name, tested.knobs, config)
     first = max((config.unseen_levels.start for config in configs), default=0)

@@ -60,7 +60,7 @@ def audit(
     Args:
         agent: Run folder, checkpoint, name of an agent, or a policy of your own.
         game: Game or `World` that the policy plays; None for that of the agent.
-        shift: Name of the shift; None for that of the agent's training.
+        shift: Name of the shift; None for that of the agent's training, or the game's only one.
         ghost: Variant without the intended object. The same levels are also played there, to see
             how much more often each goal is reached with the object in place.
         levels: Number of levels in each variant, the same in all.
@@ -80,13 +80,13 @@ def audit(
     """
     called = _call(locals())
     config, load, path, name = _opened(agent, root := path_of("out", out), mode, art)
-    if config is None and (game is None or shift is None):
-        raise ValueError("the audit of a policy needs its game or World, and a shift")
+    if config is None and game is None:
+        raise ValueError("the audit of a policy needs its game or World")
     played = world.find(game) if game is not None else config.find_game()  # pyrefly: ignore
-    named = shift if shift is not None or config is None else shift_of(config)
+    named = shift_of(config, played) if shift is None else shift
     if config and played.name != config.game:
         raise ValueError(f"{agent} plays {config.game}; game must be left out, not {played.name}")
-    between = load_shift(played, named)  # pyrefly: ignore
+    between = load_shift(played, named)
     if config is None and isinstance(played, Game):
         played.drawn(agent.art, played.variant(between.test))  # pyrefly: ignore
     if name in {one.name for one in scripts_of(played, between)}:  # which is played, too
