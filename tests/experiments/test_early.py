@@ -274,6 +274,17 @@ def test_a_lab_that_cannot_be_exported_is_refused_before_a_level_is_looked_for(
     assert "'coin-end-pixels' sees images of coinrun: there is no" in astray(*words, fails=True)
 
 
+def test_a_lab_of_few_exported_levels_begins_with_one_that_tells_something(
+    astray, tmp_path, monkeypatch
+):
+    """Level 17 was chosen, which is not exported, and level 0 was shown without a reason."""
+    begun = []
+    monkeypatch.setattr(exporting, "export", lambda lab, *_: begun.append(lab.start))
+    astray("lab", "maze-corner", "--export", tmp_path / "site", "--num-levels", "9")
+    (start,) = begun
+    assert start["level"] < 9 and f"Level {start['level']} was chosen: the agent" in start["why"]
+
+
 @pytest.mark.parametrize("words", [("audit", "maze-corner"), ("reproduce", "maze-corner")])
 def test_a_file_in_the_place_of_a_folder_is_told_as_one(astray, tmp_path, words):
     (tmp_path / "file").write_text("in the way")

@@ -71,7 +71,7 @@ def lab(
         check_writable(export / "index.html")
         found = make_lab(shown, start | {"level": 0})  # before a level is looked for
         check_exportable(found, None, {})
-        write(make_lab(shown, start), export, exported)
+        write(make_lab(shown, start, exported), export, exported)
         print(f"{export / 'index.html'}")
         return
     from astray.lab.server import serve

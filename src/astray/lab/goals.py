@@ -81,15 +81,16 @@ def distinguishing(game: Game, variant: Variant, shift: Shift, levels: Levels) -
 
 
 def typical(
-    game: Game, variant: Variant, shift: Shift, agent: Policy, first: int = 0
+    game: Game, variant: Variant, shift: Shift, agent: Policy, first: int = 0, few: int = FIRST_FEW
 ) -> tuple[int, str]:
     """Return a large level in which the agent soon shows its usual goal, and why it was chosen.
 
     The usual goal is reached first in most levels that distinguish the goals; where they are not
-    known, it is a proxy, or without one another end. If possible, `TELLING` steps lead to it.
+    known, it is a proxy, or without one another end. If possible, `TELLING` steps lead to it. The
+    level is one of at most `few` from `first` on.
     """
-    known = distinguishing(game, variant, shift, range(first, first + FIRST_FEW))
-    levels = known or range(first, first + AT_SIGHT)
+    known = distinguishing(game, variant, shift, range(first, first + min(few, FIRST_FEW)))
+    levels = known or range(first, first + min(few, AT_SIGHT))
     instead = {goal: game.goals[goal] for goal in shift.proxies} or dict(game.ends)
     ends = {shift.intended: game.goals[shift.intended]} | instead
     late = [name for name, end in ends.items() if not isinstance(end, str)]

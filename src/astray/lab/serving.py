@@ -8,7 +8,7 @@ from astray import games
 from astray.acting import Policy, check_policy
 from astray.analysis.trained import Agent, Network, Opaque, looked_into
 from astray.lab.agents import Agents
-from astray.lab.goals import typical
+from astray.lab.goals import FIRST_FEW, typical
 from astray.lab.session import Lab
 from astray.level_files import read_level
 from astray.training import folders
@@ -18,12 +18,15 @@ from astray.validation import of_kind
 FIRST = "maze-corner"  # of the agents, where nobody says which
 
 
-def make_lab(agent: str | Path | Policy | None, start: Mapping[str, Any]) -> Lab:
+def make_lab(
+    agent: str | Path | Policy | None, start: Mapping[str, Any], few: int = FIRST_FEW
+) -> Lab:
     """Return a lab that begins with an agent and the settings in `start`.
 
     Args:
         agent: Name or run folder, or any policy, for which `start` says the game.
         start: First fields of a `Message`; its level may be the path of a file.
+        few: Number of levels that its first one is chosen from, if `start` has none.
 
     Raises:
         ValueError: If a setting is invalid.
@@ -66,7 +69,7 @@ def make_lab(agent: str | Path | Policy | None, start: Mapping[str, Any]) -> Lab
         first["level"] = read_level(first["level"], game, variant).to_json()
     shift = game.shifts.get(about.get("shift", ""))
     if "level" not in first and shift and first["variant"] == shift.test:
-        first["level"], first["why"] = typical(game, variant, shift, agents.player(name))
+        first["level"], first["why"] = typical(game, variant, shift, agents.player(name), few=few)
     return Lab(agents, {"level": 0} | first | {"game": game.name})
 
 
