@@ -85,7 +85,9 @@ def test_kinds_of_agents_have_claims_of_their_own(tmp_path):
     assert len(ours) == 4 and all("over 2 agents and 30 levels" in one for one in learned)
     assert ["100.0" in one for one in learned] == [True, False]
     with pytest.raises(ValueError, match="must be of agents of one name; got left, right: filter"):
-        outcomes.rate(episodes_of(tmp_path / "both-smoke")[0], "in the test", INTENDED)
+        outcomes.rate(both := episodes_of(tmp_path / "both-smoke")[0], "in the test", INTENDED)
+    with pytest.raises(ValueError, match="must be of agents of one name; got left, right: filter"):
+        outcomes.played(SimpleNamespace(episodes=both), "in the test", "length")
 
 
 def test_agents_are_trained_anew_where_the_environment_of_their_training_reads_another_file(

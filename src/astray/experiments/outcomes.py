@@ -58,19 +58,25 @@ def rate(
     Raises:
         ValueError: If a test or outcome does not exist, or agents are of several names.
     """
-    part = episodes.filter(pl.col("test") == test, pl.col("policy") == AGENTS)
-    if len(names := sorted({*part["agent"].drop_nulls()} if "agent" in part.columns else {})) > 1:
-        told = f"got {', '.join(names)}: filter(agent=...) chooses one"
-        raise ValueError(f"a rate must be of agents of one name; {told}")
+    part = _of_one(episodes, test)
     came = matrix(part, pl.col("outcome") == outcome)
     if minus_test:
-        other = episodes.filter(pl.col("test") == minus_test, pl.col("policy") == AGENTS)
+        other = _of_one(episodes, minus_test)
         if set(other["level"]) != set(part["level"]):
             raise ValueError(f"the tests {test!r} and {minus_test!r} are not in the same levels")
         return estimate_paired(came, matrix(other, pl.col("outcome") == (minus or outcome)))
     if minus:
         return estimate_paired(came, matrix(part, pl.col("outcome") == minus))
     return estimate_mean(came)
+
+
+def _of_one(episodes: pl.DataFrame, test: str, policy: str = AGENTS) -> pl.DataFrame:
+    """Return the episodes of a policy in a test; raise ValueError if agents have several names."""
+    part = episodes.filter(pl.col("test") == test, pl.col("policy") == policy)
+    if len(names := sorted({*part["agent"].drop_nulls()} if "agent" in part.columns else {})) > 1:
+        told = f"got {', '.join(names)}: filter(agent=...) chooses one"
+        raise ValueError(f"episodes must be of agents of one name; {told}")
+    return part
 
 
 def of(work: Work, test: str, agent: str) -> pl.DataFrame:
@@ -167,8 +173,12 @@ def findings_of(
 
 
 def played(work: Work, test: str, value: str | pl.Expr, policy: str = AGENTS) -> np.ndarray:
-    """Return a column or expression of a policy's episodes in a test, [agents, levels]."""
-    part = work.episodes.filter(test=test, policy=policy)
+    """Return a column or expression of a policy's episodes in a test, [agents, levels].
+
+    Raises:
+        ValueError: If they are of agents of several names.
+    """
+    part = _of_one(work.episodes, test, policy)
     return matrix(part, pl.col(value) if isinstance(value, str) else value)
 
 
