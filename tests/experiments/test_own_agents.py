@@ -90,6 +90,21 @@ def test_kinds_of_agents_have_claims_of_their_own(tmp_path):
         outcomes.played(SimpleNamespace(episodes=both), "in the test", "length")
 
 
+def test_usual_findings_take_further_tests_and_refuse_one_before_the_work(tmp_path):
+    for name, often in (("one", "1"), ("two", "0.9")):
+        (tmp_path / name).write_text(often)
+    study = experiment(files=[tmp_path / "one", tmp_path / "two"])
+    (plan,) = study.sizes.values()
+    more = replace(plan, tests={**plan.tests, "again": spec.Test("anywhere", "end")})
+    page = reproduce(replace(study, sizes={"smoke": more}), "smoke", tmp_path)
+    assert {*episodes_of(page.parent)[0]["test"]} == {*more.tests}
+    own = {"right": OwnAgents(load, train=lambda *_: pytest.fail("it trains"))}
+    for few in ({}, {"in the test": spec.Test("anywhere", "end")}):
+        one = replace(study, sizes={"smoke": replace(plan, own=own, tests=few)})
+        with pytest.raises(ValueError, match=r"of two tests, in training and .*; got \["):
+            reproduce(one, "smoke", tmp_path)
+
+
 def test_agents_are_trained_anew_where_the_environment_of_their_training_reads_another_file(
     tmp_path,
 ):

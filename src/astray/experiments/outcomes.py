@@ -90,7 +90,10 @@ def first(work: Work, test: str, agent: str, outcome: str) -> np.ndarray:
 
 
 def findings(work: Work) -> Findings:
-    """Return the usual findings of a plan whose tests are `tests_of` a shift, for each kind."""
+    """Return the usual findings of a plan, for each kind of agents.
+
+    Its first two tests are `tests_of` a shift; others have their place in the tables.
+    """
     kinds = [*work.plan.agents, *work.plan.own]
     names = {name: (name, name) for name in kinds} if kinds[1:] else {kinds[0]: ("the agent", "it")}
     told = [_of_kind(work, kind, *words) for kind, words in names.items()]
@@ -100,7 +103,7 @@ def findings(work: Work) -> Findings:
 
 def _of_kind(work: Work, kind: str, who: str, it: str) -> tuple[str, list[Claim]]:
     """Return the answer and claims of `findings` for the agents of one name, called `who`, `it`."""
-    train, test = work.plan.tests
+    train, test, *_ = work.plan.tests
     shift = load_shift(work.plan.game, work.plan.tests[test].shift)
     mine = work.episodes.filter(agent=kind)
     learned = rate(mine, train, INTENDED)

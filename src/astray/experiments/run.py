@@ -20,7 +20,7 @@ from astray import provenance
 from astray.analysis.outcomes import load_shift
 from astray.envs.compiled import loop_of
 from astray.envs.worlds import shown_first
-from astray.experiments import catalogue, labs
+from astray.experiments import catalogue, labs, outcomes
 from astray.experiments.levels import check_tests, play
 from astray.experiments.spec import (
     PUBLISHED,
@@ -89,6 +89,9 @@ def reproduce(
     plan = replace(plan, device=device)
     folder = (root := path_of("root", root)) / f"{name}-{size}{ending}"
     whole.check_installed()
+    if whole.find is outcomes.findings and len(plan.tests) < 2:
+        told = "in training and in the test, as spec.tests_of gives them; got"
+        raise ValueError(f"the usual findings are of two tests, {told} {[*plan.tests]}")
     if track:
         check_installed(track)
     check_free(folder, PLAN, b'"sources"', report.WRITTEN)
