@@ -9,11 +9,13 @@ from types import FunctionType, SimpleNamespace
 import numpy as np
 import polars as pl
 import pytest
+from torch import nn
 
 from astray.analysis import video
 from astray.analysis.adapters import Function
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
+from astray.analysis.trained import Network
 from astray.experiments import outcomes, spec
 from astray.experiments.run import inputs, own_runs, reproduce, resolved
 from astray.experiments.spec import Experiment, OwnAgents, Plan
@@ -230,6 +232,26 @@ def test_one_agent_is_not_counted_as_several(own, tmp_path, monkeypatch):
         (tmp_path / name).write_text("0.5")
     with pytest.raises(ValueError, match="are one agent; remove one, or let its training use"):
         reproduce(experiment(**own), "smoke", tmp_path)
+
+
+@pytest.mark.parametrize("seeds", [1, 2])
+def test_one_network_in_files_of_other_dates_is_not_counted_as_several(seeds, tmp_path):
+    def loads(path):
+        net = nn.Sequential(nn.Flatten(), nn.Linear(2 * CELLS, 2))
+        nn.init.constant_(net[1].weight, int((path / "agent.txt").read_text()) % seeds)
+        nn.init.zeros_(net[1].bias)
+        return Network(net, Room().observation_space, ask=lambda net, seen: net(seen.float()))
+
+    own = {
+        "one": OwnAgents(loads, train=lambda k, folder: (folder / "agent.txt").write_text(f"{k}"))
+    }
+    study = experiment(train=train)
+    study = replace(study, sizes={"smoke": replace(study.sizes["smoke"], own=own)})
+    if seeds == 2:
+        assert reproduce(study, "smoke", tmp_path).exists()
+    else:
+        with pytest.raises(ValueError, match="are one agent, of equal weights; let each training"):
+            reproduce(study, "smoke", tmp_path)
 
 
 def test_a_file_that_is_missing_is_told_before_anybody_trains(tmp_path):

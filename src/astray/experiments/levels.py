@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+import torch
 
 from astray.acting import check_ending
 from astray.analysis.overlap import met, unseen
 from astray.analysis.runs import play_all, rehearse
+from astray.analysis.trained import Agent, Loaded
 from astray.experiments.spec import Plan, Runs, Test, open_agents
 from astray.game import Variant
 from astray.published.imported import SPARED
@@ -67,13 +69,30 @@ def check_tests(plan: Plan) -> None:
                     )
 
 
+def weights_of(agent: Agent | Loaded) -> bytes:
+    """Return the weights of an agent's network; b"" if none is known."""
+    found: Any = getattr(getattr(agent, "policy", agent), "network", None)
+    network = getattr(found, "network", found)  # of an adapter, whose network is a policy itself
+    weights = network.state_dict() if isinstance(network, torch.nn.Module) else {}
+    return b"".join(one.numpy(force=True).tobytes() for one in weights.values())
+
+
 def play(plan: Plan, runs: Runs) -> pl.DataFrame:
     """Play all agents and scripted policies in all tests.
 
     Columns are those of `analysis.runs.play_all`, and agent (name, null for scripts), test (name)
     and the plan's measures and rewards.
+
+    Raises:
+        ValueError: If two agents of a name have the same weights.
     """
-    players = [player for made in open_agents(plan, runs).values() for player in made]
+    opened = open_agents(plan, runs)
+    for name, made in opened.items():  # files may differ all the same, as they have a date
+        known = [told for told in map(weights_of, made) if told]
+        if len({*known}) < len(known):
+            told = f"two of {', '.join(map(str, runs[name]))} are one agent, of equal weights"
+            raise ValueError(f"{told}; let each training use a seed of its own")
+    players = [player for made in opened.values() for player in made]
     owners = pl.DataFrame(
         [{"run": str(run), "agent": name} for name, made in runs.items() for run in made]
     )
