@@ -85,7 +85,7 @@ def values(thing: Any, passed: dict[int, Any] | None = None) -> Iterator[str]:
     """
     if isinstance(thing, PLAIN):
         yield repr(thing)
-    elif isinstance(thing, np.ndarray):
+    elif isinstance(thing, np.ndarray) and not thing.dtype.hasobject:
         yield f"{thing.dtype} {thing.shape} {hashlib.sha256(thing.tobytes()).hexdigest()}"
     elif isinstance(thing, set | frozenset):
         yield from sorted(one for part in thing for one in values(part, passed))

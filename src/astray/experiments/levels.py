@@ -91,7 +91,8 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
         known = [told for told in map(weights_of, made) if told]
         if len({*known}) < len(known):
             told = f"two of {', '.join(map(str, runs[name]))} are one agent, of equal weights"
-            raise ValueError(f"{told}; let each training use a seed of its own")
+            mend = "let each training use a seed, and `load` return a network, of its own"
+            raise ValueError(f"{told}; {mend}")
     players = [player for made in opened.values() for player in made]
     owners = pl.DataFrame(
         [{"run": str(run), "agent": name} for name, made in runs.items() for run in made]
