@@ -282,6 +282,9 @@ def test_what_is_no_plan_is_told():
         experiment()
     with pytest.raises(ValueError, match="a plan has either agents, or own agents and the world"):
         replace(experiment(train=train).sizes["smoke"], world=None, tests={})
+    own = {name: OwnAgents(load, ["one", "two"]) for name in ("sampled", "greedy")}
+    with pytest.raises(ValueError, match="one is of own agents 'sampled' and 'greedy'; files tell"):
+        replace(experiment(train=train).sizes["smoke"], own=own)
 
 
 @pytest.mark.parametrize(

@@ -176,12 +176,17 @@ class Plan:
         """Raise ValueError unless agents of others are alone and one per seed."""
         if (self.world is None) == bool(self.own) or (self.own and self.agents):
             raise ValueError("a plan has either agents, or own agents and the world they play")
+        whose: dict[str, str] = {}  # files
         for name, given in self.own.items():
             if (given.train is None) != (len(given.files) == self.seeds):
                 raise ValueError(
                     f"own agents {name!r} need `train`, or `files`: one for each of {self.seeds} "
                     f"seeds; got {len(given.files)} files"
                 )
+            for file in given.files:
+                if (first := whose.setdefault(str(file), name)) != name:
+                    told = "files tell agents apart, so give one of them a copy"
+                    raise ValueError(f"{file} is of own agents {first!r} and {name!r}; {told}")
 
     def variant_of(self, test: Test) -> Any:
         """Return the variant of a test as the first agents play it."""
