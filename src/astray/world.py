@@ -6,7 +6,7 @@ import contextlib
 import inspect
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from operator import itemgetter
@@ -43,6 +43,7 @@ class WorldVariant:
     world: str
     name: str
     factory: Callable[..., Env]
+    texts: Collection[str]  # knobs that are text, as the defaults of one of the factories say
     knobs: Mapping[str, Any] = field(default_factory=dict)
     time_limit: ClassVar[int] = 0  # steps; unknown for an outside environment
 
@@ -56,22 +57,20 @@ class WorldVariant:
     def with_knobs(self, changes: Mapping[str, Any]) -> WorldVariant:
         """Return the variant with arguments added.
 
-        Text of a number, of true, false or None is that value, unless the default is text, too.
+        Text of a number, of true, false or None is that value, unless the knob is one of `texts`.
 
         Raises:
             ValueError: If its factory lacks one.
         """
         of_kind("knobs", changes, Mapping)
-        knobs, usual = {**self.knobs, **changes}, {}
+        knobs = {**self.knobs, **changes}
         try:
-            signature = inspect.signature(self.factory)
-            usual = {name: one.default for name, one in signature.parameters.items()}
-            signature.bind_partial(**knobs)
+            inspect.signature(self.factory).bind_partial(**knobs)
         except TypeError as error:
             raise ValueError(f"the factory of {self} takes no such knob: {error}") from error
         except ValueError:  # of compiled code, which does not say what it takes
             pass
-        knobs = {n: v if isinstance(usual.get(n), str) else _as_said(v) for n, v in knobs.items()}
+        knobs = {n: v if n in self.texts else _as_said(v) for n, v in knobs.items()}
         return replace(self, knobs=knobs)
 
     def alike(self, changes: Mapping[str, Any], other: WorldVariant) -> dict[str, Any]:
@@ -126,6 +125,14 @@ class WorldVariant:
     def __str__(self) -> str:
         told = "".join(f", {name}={value}" for name, value in self.knobs.items())
         return f"{self.world} {self.name}{told}"
+
+
+def _texts(factory: Callable[..., Env]) -> set[str]:
+    """Return the arguments whose defaults are text; of compiled code, which says none, no names."""
+    with contextlib.suppress(TypeError, ValueError):
+        its = inspect.signature(factory).parameters.items()
+        return {name for name, one in its if isinstance(one.default, str)}
+    return set()
 
 
 def _as_said(value: Any) -> Any:
@@ -293,7 +300,9 @@ class World:
         if isinstance(name, WorldVariant):
             return name
         one_of(f"variant of {self.name}", name, self.variants)
-        return WorldVariant(self.name, name, self.variants[name])
+        # A factory that passes its arguments on, as a lambda does, does not say which are text.
+        texts = set().union(*map(_texts, self.variants.values()))
+        return WorldVariant(self.name, name, self.variants[name], texts)
 
 
 _registered: dict[str, World] = {}

@@ -360,6 +360,14 @@ def test_a_knob_is_the_number_or_word_that_its_text_says(said, meant):
     assert type(knobs["size"]) is type(meant)
 
 
+def test_a_knob_that_is_text_is_text_in_variants_that_pass_it_on():
+    """Training read `room=1` as text, and the test as a number."""
+    passed = {"end": lambda room="0": Room(), "test": lambda **knobs: Room(**knobs)}
+    world = replace(WORLD, shifts={}, variants=passed)
+    read = [world.variant(one).with_knobs({"room": "1"}).knobs["room"] for one in passed]
+    assert read == ["1", "1"]
+
+
 @pytest.mark.parametrize(
     "world, policy, said",
     [

@@ -49,6 +49,8 @@ def test_texts_are_settings_and_their_values():
         "variant": ["a", "b-1"],
     }  # fmt: skip
     assert value("[" * 10**5) == "[" * 10**5
+    read = axes(["map=1,true", "size=1"], {"map"})
+    assert read == {"variant.map": ["1", "true"], "variant.size": [1]}
 
 
 @pytest.mark.parametrize(

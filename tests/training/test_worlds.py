@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+import polars as pl
 import pytest
 import torch
 from gymnasium import spaces
@@ -338,3 +339,11 @@ def test_a_study_trains_agents_on_a_world_in_processes_of_their_own(tmp_path):
     page = reproduce(study, "smoke", tmp_path, workers=1)
     told = page.read_text("utf-8")
     assert "reaches “square” first" in told and "none: a video of unnamed-rooms end needs" in told
+
+
+def test_a_sweep_reads_a_knob_that_is_text_as_a_training_does(astray, tmp_path):
+    """It read a number: the default of `place` is text."""
+    few = ("--steps=32", "--num-envs=2", "--num-steps=16", "--minibatches=1", "--num-test-levels=2")
+    axes, out = ("--set", "place=1"), ("--out", str(tmp_path / "swept"))
+    astray("sweep", "helpers.rooms:WORLD", "end", *axes, *few, *out)
+    assert {*pl.read_parquet(tmp_path / "swept/outcomes.parquet")["variant.place"]} == {"1"}

@@ -60,5 +60,6 @@ def sweep(
     bounded("num_test_levels", test_levels, 1, MOST_LEVELS)
     config = ungrouped(settings)
     there = out or Path("sweeps") / f"{config.game}-{config.variant}"
-    wanted = Sweep(config, read_axes(axes), seeds, test_levels, shift)
+    as_text = getattr(config.training_variant(), "texts", ())  # of a World
+    wanted = Sweep(config, read_axes(axes, as_text), seeds, test_levels, shift)
     print(run_sweep(wanted, there, workers=workers, on=on, track=track))

@@ -3,7 +3,7 @@
 import itertools
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -94,10 +94,11 @@ class Sweep:
         return [name for name, values in both if len(values) > 1] or self.columns()
 
 
-def axes(texts: Sequence[str]) -> dict[str, list[Any]]:
+def axes(texts: Sequence[str], as_text: Collection[str] = ()) -> dict[str, list[Any]]:
     """Parse settings and knobs with values, such as lr=1e-4,5e-4 and region=1,3,5.
 
-    A knob is named variant.NAME in the result; the texts may leave out `variant.`.
+    A knob is named variant.NAME in the result; the texts may leave out `variant.`. Values of the
+    knobs `as_text` are text, also of digits.
 
     Raises:
         ValueError: If a text is invalid.
@@ -112,7 +113,8 @@ def axes(texts: Sequence[str]) -> dict[str, list[Any]]:
             raise ValueError(
                 f"a sweep must set NAME=VALUE,VALUE,... once for each name; got {text!r}"
             )
-        found[name] = [value(part) for part in values.split(",")]
+        is_text = name.removeprefix(KNOB) in as_text
+        found[name] = [part if is_text else value(part) for part in values.split(",")]
     return found
 
 
