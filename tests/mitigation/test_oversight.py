@@ -13,7 +13,7 @@ from astray.acting import Answer, Turn
 from astray.agents import policy as trained
 from astray.analysis.adapters import Function
 from astray.analysis.evaluate import evaluate
-from astray.analysis.outcomes import load_shift
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label, load_shift
 from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import load_agent
 from astray.envs.vector import GameVectorEnv
@@ -211,6 +211,21 @@ def test_a_function_is_a_score_by_its_own_name():
     for same in ([late, late], [Chance(1), Chance(2)]):  # `area` would take them for one
         with pytest.raises(ValueError, match="scores must have names of their own; got"):
             oversight.curves(*how[:2], same, trial)
+
+
+@pytest.mark.parametrize("name, shift", [("boat", "backwards"), ("monsters", "long")])
+def test_help_is_tried_where_goals_are_counts(name, shift):
+    """It was played, and then a column of the counts was missing."""
+    game = games.find(name)
+    between = load_shift(game, shift)
+    knobs = {"time_limit": 50}
+    training, test = (game.variant(v).with_knobs(knobs) for v in (between.train, between.test))
+    trial = Trial(game, between, training, range(5), test, range(500, 520))
+    none, full = curve(Random(1), Random(2), Chance(), trial, percentiles=()).to_dicts()
+    for row, seed in ((none, 1), (full, 2)):
+        outcome = label(evaluate(Random(seed), game, test, range(500, 520)), game, between)
+        assert row["misgeneralized"] == (outcome["outcome"] == MISGENERALIZED).mean()
+        assert row["intended"] == (outcome["outcome"] == INTENDED).mean()
 
 
 @pytest.mark.thorough  # `test_a_curve_goes_from_the_novice_to_the_expert`

@@ -11,7 +11,7 @@ import polars as pl
 
 from astray import games
 from astray.acting import Answer, Levels, Policy, Turn, asked, check_policy, steps
-from astray.analysis.evaluate import Measure
+from astray.analysis.evaluate import Measure, measured
 from astray.analysis.policies import Random, Walk
 from astray.analysis.trained import Agent
 from astray.envs.vector import Observation
@@ -169,7 +169,7 @@ def play(
 
     Columns: level, return, length (steps), queries (steps of the expert), first (step of the first
     query, or null), highest (score), moment (in `MOMENTS`, of the first query; null without
-    `watch`), and the game's events (their steps, or null).
+    `watch`), terminated, and the game's events (their steps, or null) and measures.
     """
     return _with_help(*play_alone(policy, game, variant, levels, watch), pl.col("helped"), "score")
 
@@ -183,12 +183,14 @@ def play_alone(
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Play the novice alone; return a table of episodes and a table of scores.
 
-    The first has a row per level (level, return, length and the game's events). The second has a
-    row per step: level (index in `levels`), time, moment (index in `MOMENTS`, -1 without `watch`),
-    and one column per score, named by its position (of other policies, all that they record).
+    The first has a row per level (level, return, length, terminated, the game's events and
+    measures). The second has a row per step: level (index in `levels`), time, moment (index in
+    `MOMENTS`, -1 without `watch`), and one column per score, named by its position (of other
+    policies, all that they record).
     """
     game, n = games.find(game), count_levels(levels)
     returns, rows, seen, parts = np.zeros(n), [{}] * n, np.zeros(n, bool), []
+    last = np.zeros(n, game.state)
     for step in steps(policy, game, variant, levels):
         where, moment = step.level, np.full(len(step.level), -1)
         if watch:
@@ -198,12 +200,17 @@ def play_alone(
         parts.append(pl.DataFrame(told | dict(step.extra)))
         returns[where] += step.rewards
         for i in np.flatnonzero(step.ended):
-            s = step.after[i]
-            events = {e: int(s[e]) if s[e] >= 0 else None for e in game.events}
-            rows[where[i]] = {"level": int(s["level"]), "length": int(s["time"])} | events
+            s = last[where[i]] = step.after[i]
+            rows[where[i]] = {
+                "level": int(s["level"]),
+                "length": int(s["time"]),
+                "terminated": bool(step.terminated[i]),
+                **{event: int(s[event]) if s[event] >= 0 else None for event in game.events},
+            }
     kinds: dict = {event: pl.Int64 for event in game.events}
     played = pl.DataFrame(rows, schema_overrides=kinds)
-    return played.with_columns(pl.Series("return", returns)), pl.concat(parts)
+    measures = [measured(name, of, last) for name, of in game.of_states.items()]
+    return played.with_columns(pl.Series("return", returns), *measures), pl.concat(parts)
 
 
 def _with_help(played: pl.DataFrame, said: pl.DataFrame, asks: pl.Expr, score: str) -> pl.DataFrame:
