@@ -21,13 +21,16 @@ from astray.envs.vector import GameVectorEnv
 from astray.experiments import run, spec, workers
 from astray.experiments.levels import play
 from astray.experiments.spec import Experiment, Plan
+from astray.experiments.sweep.run import run_sweep
 from astray.experiments.sweep.settings import Sweep
 from astray.game import Shift
 from astray.lab import export as exporting
 from astray.lab import serving
 from astray.lab.serving import make_lab
 from astray.training import folders
+from astray.training.config import Config
 from helpers.processes import environment
+from helpers.rooms import WORLD, Room
 from helpers.trainings import TINY
 
 MAZE = games.find("maze")
@@ -114,6 +117,46 @@ def test_a_test_that_agents_could_not_play_is_told_before_training(tmp_path, kno
     agents = {"mouse": replace(TINY, levels=3)}
     with pytest.raises(ValueError, match=said):
         run.reproduce(experiment(plan(agents=agents, tests=tests, levels=2)), "smoke", tmp_path)
+
+
+@pytest.mark.parametrize(
+    "more, said",
+    [
+        ({"measures": {"far": lambda states: states["far"]}}, "no field of name far"),
+        ({"measures": {"far": lambda states: 1}}, "'far' must return 1 values of one type; got 1"),
+        ({"rewards": {"far": lambda step: "far"}}, "a reward must return 1 finite numbers"),
+    ],
+)
+def test_a_measure_or_reward_that_fails_is_told_before_training(tmp_path, more, said):
+    agents = {"mouse": replace(TINY, levels=3)}
+    with pytest.raises(ValueError, match=said):
+        run.reproduce(experiment(plan(agents=agents, levels=2, **more)), "smoke", tmp_path)
+
+
+def test_knobs_that_a_world_refuses_in_a_test_are_told_before_training(tmp_path):
+    variants = {"end": Room, "anywhere": lambda **knobs: Room("anywhere", **knobs)}
+    loose = replace(WORLD, name="loose", variants=variants)
+    agents = {"mlp": Config(loose, "end", steps=32, num_envs=2, num_steps=16, minibatches=1)}
+    tests = spec.tests_of(loose, "end") | {"far": spec.Test("anywhere", "end", {"far": 3})}
+    with pytest.raises(ValueError, match="the factory of loose anywhere, far=3 fails"):
+        run.reproduce(experiment(plan(agents=agents, tests=tests)), "smoke", tmp_path)
+
+
+def test_a_sweep_whose_test_a_world_refuses_is_told_before_training(tmp_path, monkeypatch):
+    variants = {"end": lambda wide=1: Room(), "anywhere": lambda wide=1: Room() if wide == 1 else 5}
+    base = Config(replace(WORLD, name="narrow", variants=variants), "end", steps=64, num_envs=4)
+    base = replace(base, num_steps=16, minibatches=1)
+    with pytest.raises(ValueError, match="that the factory of narrow anywhere, wide=2 returns"):
+        run_sweep(Sweep(base, {"variant.wide": [1, 2]}, levels=2), tmp_path)
+
+
+def test_findings_that_are_none_are_told(tmp_path):
+    with pytest.raises(ValueError, match="find must be a function; got None"):
+        replace(experiment(plan()), find=None)
+    given = replace(experiment(plan(agents={}, tests={}, world=WORLD, own={
+        "right": spec.OwnAgents(load_agent, files=[__file__])})), find=lambda work: 3)  # fmt: skip
+    with pytest.raises(ValueError, match="what `find` of an experiment returns must be a Findings"):
+        run.reproduce(given, "smoke", tmp_path)
 
 
 @pytest.mark.parametrize(

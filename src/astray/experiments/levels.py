@@ -10,6 +10,7 @@ import torch
 
 from astray.acting import check_ending
 from astray.analysis.overlap import met, unseen
+from astray.analysis.policies import Random
 from astray.analysis.runs import play_all, rehearse
 from astray.analysis.trained import Agent, Loaded
 from astray.experiments.spec import Plan, Runs, Test, open_agents
@@ -75,6 +76,19 @@ def weights_of(agent: Agent | Loaded) -> bytes:
     network = getattr(found, "network", found)  # of an adapter, whose network is a policy itself
     weights = network.state_dict() if isinstance(network, torch.nn.Module) else {}
     return b"".join(one.numpy(force=True).tobytes() for one in weights.values())
+
+
+def try_tests(plan: Plan) -> None:
+    """Take a random step in each test, and raise the errors of code that is not astray's.
+
+    It is that of measures and rewards, and of a `World`.
+    """
+    if not plan.measures and not plan.rewards and not isinstance(plan.game, World):
+        return
+    level = plan.config.unseen_levels.start if plan.first_level is None else plan.first_level
+    how: Any = {"measures": plan.measures, "rewards": plan.rewards}
+    for test in plan.tests.values():
+        rehearse([Random()], plan.game, plan.variant_of(test), [level], **how)
 
 
 def play(plan: Plan, runs: Runs) -> pl.DataFrame:

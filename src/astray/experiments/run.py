@@ -21,7 +21,7 @@ from astray.analysis.outcomes import load_shift
 from astray.envs.compiled import loop_of
 from astray.envs.worlds import shown_first
 from astray.experiments import catalogue, labs, outcomes
-from astray.experiments.levels import check_tests, play
+from astray.experiments.levels import check_tests, play, try_tests
 from astray.experiments.spec import (
     PUBLISHED,
     Experiment,
@@ -39,13 +39,14 @@ from astray.files import check_free, check_writable, folder_aside, hold, read, w
 from astray.game import OWN
 from astray.report import page as report
 from astray.report.claims import corrected
+from astray.report.findings import Findings
 from astray.training import checkpoint, folders
 from astray.training.config import SOLVER, Config, Device, Fast, Tracking
 from astray.training.folders import AgentFolder, read_config
 from astray.training.loop import begin, checked
 from astray.training.teacher import give
 from astray.training.track import check_installed
-from astray.validation import MOST, bounded, brief, one_of, path_of
+from astray.validation import MOST, bounded, brief, of_kind, one_of, path_of
 from astray.world import World
 
 ALL = "all"  # experiments of a size
@@ -117,6 +118,7 @@ def reproduce(
             work = replace(work, episodes=work.keep("episodes", lambda: play(plan, runs)))
         note(text, digest, folder)
         findings = whole.find(work)
+        of_kind("what `find` of an experiment returns", findings, Findings)
         findings = replace(findings, claims=corrected(findings.claims))
         videos = [video.scene for video in findings.videos if video.scene]
         page = report.write(heading, findings, folder, beside, labs.write(videos, folder))
@@ -171,6 +173,7 @@ def train_agents(
             check_trainable(plan, trainings)
     if plan.own or missing:
         check_tests(plan)  # before hours of training, not after
+        try_tests(plan)
     own = sorted(plan.own, key=lambda name: plan.own[name].train is not None)
     found = {name: own_runs(plan, name, root) for name in own}  # files may be missing: first
     runs |= {name: found[name] for name in plan.own}

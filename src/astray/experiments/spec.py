@@ -413,6 +413,7 @@ class Experiment:
         parts = isinstance(self.sizes, Mapping) and self.sizes.values()
         if not parts or {*self.sizes} - {*SIZES} or not all(isinstance(x, Plan) for x in parts):
             raise ValueError(f"sizes must be plans for {', '.join(SIZES)}; got {shown(self.sizes)}")
+        of_kind("find", self.find, Callable)
 
     def check_installed(self) -> None:
         """Raise ImportError if a package for the findings is missing."""

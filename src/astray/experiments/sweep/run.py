@@ -14,7 +14,7 @@ import polars as pl
 
 from astray.analysis.outcomes import outcomes_of, rates
 from astray.analysis.tables import write_table
-from astray.experiments.levels import play
+from astray.experiments.levels import play, try_tests
 from astray.experiments.run import inputs, train_agents
 from astray.experiments.spec import Place, Plan, Runs, cached
 from astray.experiments.sweep.report import findings, heading
@@ -46,6 +46,8 @@ def run_sweep(
         plans = sweep.plans()
         agents = {name: config for plan in plans.values() for name, config in plan.agents.items()}
         joined = replace(next(iter(plans.values())), agents=agents, tests={}, first_level=None)
+        for plan in plans.values():
+            try_tests(plan)
         runs = train_agents(joined, folder, workers, on, track)
         # A later one in the folder may have other values or more seeds.
         axes = {name: list(values) for name, values in sweep.axes.items()}
