@@ -134,7 +134,7 @@ class Trains:
 
 def carrying(way, rate):
     """Return a function that trains, and carries a rate in that way."""
-    code = (lambda seed, folder: train(seed, folder) or (lambda: RATE)).__code__  # noqa: F821
+    code = (lambda seed, folder: train(seed, folder) or (lambda: RATE)).__code__  # noqa: F821  # pyrefly: ignore
     return {
         "closure": lambda seed, folder: train(seed, folder) or rate,
         "default": lambda seed, folder, rate=rate: train(seed, folder),

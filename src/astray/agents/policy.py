@@ -40,7 +40,7 @@ def defaults(device: str | None = None) -> Iterator[None]:
     before, there = torch.get_default_dtype(), torch.get_default_device().type
     torch.set_default_dtype(torch.float32)
     try:  # a device of its own slows down every call of torch
-        with torch.device(device) if device not in (None, there) else contextlib.nullcontext():
+        with torch.device(device) if device and device != there else contextlib.nullcontext():
             yield
     finally:
         torch.set_default_dtype(before)

@@ -251,7 +251,7 @@ class Config:
         """
         named = {"network": self.network, "loss": self.loss, "reward": self.reward}
         named |= {"sampler": self.sampler.kind}
-        return {n: imports.find(x, True) for n, x in named.items() if imports.is_name(x or "")}
+        return {n: imports.find(x, True) for n, x in named.items() if x and imports.is_name(x)}
 
     def code(self) -> list[object]:
         """Return the code that such agents depend on: the game, and the user's own objects."""
