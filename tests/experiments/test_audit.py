@@ -154,7 +154,8 @@ def test_an_audit_keeps_the_agent_whose_checkpoint_its_training_removes_meanwhil
     last = latest(run)
 
     def removing(step):
-        shutil.rmtree(last, ignore_errors=True)
+        if len(step.rewards) > 1:  # a step that is tried before the agent is opened has one
+            shutil.rmtree(last, ignore_errors=True)
         return step.rewards
 
     page = audit(run, levels=8, out=tmp_path / "reports", rewards={"own": removing})

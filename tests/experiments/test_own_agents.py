@@ -197,7 +197,7 @@ def test_a_test_without_end_is_told_before_anybody_trains(tmp_path):
     plan = Plan(
         world=LAVA,
         own={"right": OwnAgents(load, train=lambda *_: pytest.fail("it trains"))},
-        tests={"in the test": spec.Test("for-ever", "lava")},
+        tests={name: spec.Test("for-ever", "lava") for name in ("in training", "in the test")},
         levels=3,
         differences="",
     )
