@@ -38,6 +38,8 @@ def test_an_audit_tells_what_a_policy_of_ones_own_pursues(tmp_path):
     assert told["square"] == pytest.approx(by_hand)
     assert f"minus the same levels of end: square {100 * by_hand:.1f}\u00a0%" in text
     assert "random" in pl.read_parquet(page.parent / "tables" / "outcomes.parquet")["policy"]
+    rows = pl.read_parquet(page.parent / "figures" / "outcomes.parquet")["who"]
+    assert rows[0] == "right: one agent" and "random" in rows
 
 
 def test_a_policy_with_the_name_of_a_script_is_not_counted_with_it(tmp_path):

@@ -221,7 +221,7 @@ def _who_and_where(plan: Plan, table: pl.DataFrame) -> pl.DataFrame:
     scripts |= {Walk(shift.intended).name: f"walks to the {shift.intended}", "random": "random"}
     count = f"{plan.seeds} agents" if plan.seeds > 1 else "one agent"
     kinds = [*plan.agents, *plan.own]
-    named = [f"{name}: {count}" if len(kinds) > 1 else count for name in kinds]
+    named = [f"{name}: {count}" if len(kinds) > 1 or plan.own else count for name in kinds]
     order = {**dict(zip(kinds, named, strict=True)), **scripts}
     where = {name: f"{test.name}: {name}" for name, test in plan.tests.items()}
     return (
