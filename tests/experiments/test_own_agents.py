@@ -224,6 +224,18 @@ def same(seed, folder):
     train(0, folder)
 
 
+def test_new_agents_have_the_seeds_that_the_plan_says(tmp_path):
+    """They were the agents that were there, of seeds from 0 on."""
+    study = experiment(train=train)
+    reproduce(study, "smoke", tmp_path)
+    new = {"smoke": replace(study.sizes["smoke"], first_seed=2)}
+    episodes, _ = episodes_of(reproduce(replace(study, sizes=new), "smoke", tmp_path).parent)
+    assert {*episodes.filter(policy="sampled")["seed"]} == {2, 3}
+    (kept,) = (tmp_path / "agents").iterdir()
+    told = [(kept / f"seed-{seed}" / "agent.txt").read_text() for seed in range(4)]
+    assert told == ["1.0", "0.75", "0.5", "0.25"]
+
+
 @pytest.mark.parametrize("own", [{"train": same}, {"files": ["a.txt", "b.txt"]}])
 def test_one_agent_is_not_counted_as_several(own, tmp_path, monkeypatch):
     """A training forgets its seed, or a file is a copy: intervals were those of two agents."""

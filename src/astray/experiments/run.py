@@ -208,8 +208,9 @@ def own_runs(plan: Plan, name: str, root: Path) -> list[Path]:
         settings += [shown_first(plan.world, variant(one), level) for one in sorted(trained_in)]
     digest = provenance.digest(given.train, plan.world, data=settings) or uuid.uuid4().hex
     home = root / "agents" / f"{plan.game.name}-{name}-{digest[:8]}"
-    found = [home / f"seed-{seed}" for seed in range(plan.seeds)]
-    for seed, run in enumerate(found):
+    seeds = range(plan.first_seed, plan.first_seed + plan.seeds)
+    found = [home / f"seed-{seed}" for seed in seeds]
+    for seed, run in zip(seeds, found, strict=True):
         if not run.exists():
             with folder_aside(run) as aside:
                 given.train(seed, aside)

@@ -301,7 +301,7 @@ def open_agents(plan: Plan, runs: Runs) -> dict[str, list[Agent | Loaded]]:
     return {
         name: [
             Loaded(plan.own[name].load(run), run, seed) if name in plan.own else open_run(run)[0]
-            for seed, run in enumerate(made)
+            for seed, run in enumerate(made, plan.first_seed)
         ]
         for name, made in runs.items()
     }
