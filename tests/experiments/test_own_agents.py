@@ -80,7 +80,9 @@ def test_kinds_of_agents_have_claims_of_their_own(tmp_path):
     own = {"right": OwnAgents(load, files[:2]), "left": OwnAgents(load, files[2:])}
     study = Experiment("Both", "nothing", "Where to?", {"smoke": replace(plan, own=own)},
                        outcomes.findings)  # fmt: skip
-    told = json.loads((reproduce(study, "smoke", tmp_path).parent / "findings.json").read_bytes())
+    page = reproduce(study, "smoke", tmp_path)
+    assert "the goals, played by right: level " in page.read_text("utf-8")  # in a video
+    told = json.loads((page.parent / "findings.json").read_bytes())
     ours = {claim["sentence"]: claim["ours"] for claim in told["claims"]}
     learned = [ours[f"In the training levels of the shift, {kind} reaches “square” first."] for
                kind in own]  # fmt: skip

@@ -341,6 +341,7 @@ def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None)
         apart = work.episodes.filter(test=where)
     else:
         which += " that distinguish the goals"
+    which += f", played by {name}" * (len(work.runs) > 1)
     goal = (*shift.proxies, shift.intended)[0]
     mine = far = apart.filter(policy=AGENTS, agent=name, seed=player.seed)
     if goal in game.walked:
