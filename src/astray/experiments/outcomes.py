@@ -119,7 +119,7 @@ def _of_kind(work: Work, kind: str, who: str, it: str) -> tuple[str, list[Claim]
         f", and {proxies} first in {first[MISGENERALIZED].short()}, where levels distinguish these"
     )
     return (
-        f"In the training levels of the shift {who} reaches {intended} first in "
+        f"In the training levels of the shift, {who} reaches {intended} first in "
         f"{learned.short()}; in the test in {first[INTENDED].short()}{other if proxies else ''}.",
         [
             above(
