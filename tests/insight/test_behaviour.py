@@ -53,6 +53,18 @@ def test_what_cannot_be_predicted_is_told(caused):
         predict(caused, "other", ["cause"])
     with pytest.raises(ValueError, match="columns must differ; got outcome and cause, cause"):
         predict(caused, "outcome", ["cause", "cause"])
+    odd = caused.with_columns(hole=pl.Series([np.nan, *range(1499)]), text=pl.lit("x"))
+    for name in ("hole", "text"):
+        with pytest.raises(ValueError, match=f"finite numbers, or null if unknown; {name} is not"):
+            predict(odd, "outcome", ["cause", name])
+
+
+def test_a_level_counts_once_in_a_prediction(caused):
+    once = caused.with_row_index("level")
+    with pytest.raises(ValueError, match="one per level; 3000 of 3000 share the number"):
+        predict(pl.concat([once, once]), "outcome", ["cause"])
+    unknown = once.with_columns(cause=pl.lit(None, pl.Float64))
+    assert predict(pl.concat([once, unknown]), "outcome", ["cause"]).levels == 1500
 
 
 def test_features_of_levels_are_a_row_each_and_null_where_ways_do_not_part():

@@ -127,6 +127,15 @@ def test_effects_are_what_fields_say(mouse, cheese):
     assert rows["towards"].n_unique() > len(NUMBERS)
 
 
+def test_vectors_of_one_layer_add_up(mouse, cheese):
+    other = cheese.random(5)
+    both = Vectors(LAYER, cheese.each + other.each)
+    conditions = {"apart": Condition([cheese, other], 2.0), "summed": Condition([both], 2.0)}
+    rows = effects(mouse, SMALL, NUMBERS, "cheese", conditions, places=4)
+    apart, summed = (rows.filter(condition=name)["value"].to_numpy() for name in conditions)
+    assert apart == pytest.approx(summed, abs=1e-4)
+
+
 def test_fewer_places_are_drawn_from_all_and_the_beginning_is_first(mouse):
     few = effects(mouse, SMALL, NUMBERS, "cheese", {"plain": Condition()}, places=1)
     assert (few["towards"] == few["start"]).all() and (few["places"] == 1).all()

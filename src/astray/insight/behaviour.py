@@ -101,7 +101,8 @@ def predict(
 
     Args:
         rows: A row per level, with columns `outcome` (boolean) and `features` (reals); rows with
-            nulls are ignored.
+            nulls are ignored. Levels of a column "level" must differ, as folds and intervals are
+            over them.
 
     Raises:
         ImportError: If scikit-learn is not installed.
@@ -122,7 +123,15 @@ def predict(
         raise ValueError(f"columns must differ; got {outcome} and {', '.join(features)}")
     if rows[outcome].dtype != pl.Boolean:
         raise ValueError(f"the column {outcome} must be true or false; it is {rows[outcome].dtype}")
-    known = rows.select(outcome, *features).drop_nulls()
+    known = rows.drop_nulls([outcome, *features])
+    if "level" in known.columns and (twice := int(known["level"].is_duplicated().sum())):
+        raise ValueError(
+            f"rows must be one per level; {twice} of {len(known)} share the number in the column "
+            "level with another, as rows of several agents do: take those of one agent"
+        )
+    if odd := [name for name in features if not _is_real(known[name])]:
+        told = ", ".join(odd)
+        raise ValueError(f"features must be finite numbers, or null if unknown; {told} is not")
     x, y = known.select(features).to_numpy(), known[outcome].cast(pl.Int64).to_numpy()
     if len(y) < 2 * FOLDS or min(y.sum(), len(y) - y.sum()) < FOLDS:
         raise ValueError(
@@ -167,6 +176,12 @@ def predict(
         outcomes=y == 1,
         chances=chances,
     )
+
+
+def _is_real(column: pl.Series) -> bool:
+    """Return whether a column has finite numbers, or booleans, only."""
+    is_number = column.dtype.is_numeric() or column.dtype == pl.Boolean
+    return is_number and bool(column.cast(pl.Float64).is_finite().all())
 
 
 def variance_inflation(x: np.ndarray) -> np.ndarray:

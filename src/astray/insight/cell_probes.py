@@ -114,7 +114,8 @@ def ahead(states: np.ndarray, world: int, cells: Cells | None = None) -> np.ndar
     The cell where it is counts only if it comes back to it.
 
     Args:
-        states: [N], of whole episodes, as `critic.visit` returns them.
+        states: [N], of whole episodes. If they lack final states, as those of `critic.visit` do,
+            the cell of the last step, such as the cheese's, is unknown and does not count.
         world: Cells a side.
         cells: Function of states that returns where the agent is, in cells; None for the states'
             own x and y.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -149,7 +149,8 @@ class Condition:
     """Change of agent or levels, for `effects`.
 
     Attributes:
-        vectors: Vectors to add to their layer's output: one per level, or the mean of all.
+        vectors: Vectors to add to their layer's output: one per level, or the mean of all. Those
+            of one layer add up.
         coefficient: Factor of the vectors.
         edit: Edit of the levels.
     """
@@ -224,9 +225,10 @@ def effects(
             if condition.edit not in shown:
                 shown[condition.edit] = _seen(agent, variant, condition.edit(level), looked_at, to)
             observations, advancing = shown[condition.edit]
-            vectors = {v.layer: v.each[k] if condition.own else v.mean for v in condition.vectors}
-            steered = steer(agent, vectors, condition.coefficient) if vectors else nullcontext()
-            with steered:
+            with ExitStack() as stack:
+                for v in condition.vectors:
+                    vector = v.each[k] if condition.own else v.mean
+                    stack.enter_context(steer(agent, {v.layer: vector}, condition.coefficient))
                 policy, value = policy_and_value(agent, observations)
             chance = (policy * advancing).sum(1)
             n = len(some)
