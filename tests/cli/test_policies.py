@@ -66,7 +66,7 @@ def test_a_policy_is_explained_as_far_as_it_can_be(astray, tmp_path, monkeypatch
     words = ("--policy", "walk:corner", *IN_MAZE, "--level", "3", "--out", str(tmp_path / "page"))
     astray("explain", *words)
     written = re.sub('"data:[^"]*"', "", (tmp_path / "page" / "explain.html").read_text())
-    assert "likeliest actions" in written and "With the cheese anywhere else" in written
+    assert "likeliest actions" in written and "With the cheese anywhere" in written
     assert "The posterior over what its episode" in written and "nan" not in written.lower()
     assert written.count("has no network to look into") == 2  # attribution and probes
 

@@ -191,6 +191,15 @@ def test_a_level_is_found_where_goals_are_counts_that_the_end_tells():
     assert why.endswith(f"Level {found} was chosen: the agent comes to “more hiding” here.")
 
 
+def test_the_agent_is_said_to_be_in_the_middle_only_where_it_is():
+    agent, game = load_agent("supervisor-half"), games.find("supervisor")
+    rows = "######## #......# #.####.# #@#..#.# #x#..#.# #.####.# #.G....# ########".split()
+    level = Level.from_text(game, game.variant("half"), "\n".join([*rows, "@ on x"]))
+    asked = explain.Asked(agent, level.variant, level, "half", (), np.arange(3))
+    (section,) = explain._attribution(asked)
+    assert "in the middle of what it sees" not in str(section)
+
+
 def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stderr", told := io.StringIO())
     (tmp_path / "explain.html").write_bytes(
@@ -208,7 +217,7 @@ def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monke
     headings = re.findall("<h2>(.*?)</h2>", page)
     for heading in (
         "Where it would go",
-        "With the cheese anywhere else",
+        "With the cheese anywhere",
         "What its layers tell",
         "What the value depends on",
         "What it is after",

@@ -136,7 +136,7 @@ def explain(asked: Asked, folder: str | Path, heading: str, progress: bool = Fal
 
 
 def _verdict(asked: Asked) -> str:
-    """Tell which goal the agent reaches first, here and with an object anywhere else."""
+    """Tell which goal the agent reaches first, here and with an object in each place."""
     shift, level = asked.between, asked.level
     played = evaluate(asked.agent, level.game, asked.variant, {"level": level})
     outcome = str(label(played, level.game, shift)["outcome"][0])
@@ -155,7 +155,7 @@ def _verdict(asked: Asked) -> str:
     _, others = _anywhere(asked, single[0])
     alike = others.filter(outcome=outcome).height
     return (
-        f"Here the agent {said}. With the {asked.named(single[0])} anywhere else in the level, the "
+        f"Here the agent {said}. With the {asked.named(single[0])} anywhere in the level, the "
         f"outcome is the same in {alike} of {len(others)} places."
     )
 
@@ -254,7 +254,7 @@ def _moved(asked: Asked, name: str) -> Section:
     called = asked.named(name)
     return _part(
         f"moved-{slug(name)}",
-        f"With the {called} anywhere else",
+        f"With the {called} anywhere",
         f"An episode for each of {len(family)} places: {told}. A cell is bright where "
         f"the episode has the intended goal if the {called} lies there.",
         field_figures.side_by_side([shaded]),
@@ -277,7 +277,7 @@ def _attribution(asked: Asked) -> list[Section]:
                 label="part of the value", opacity=FADED),
     ]], (3.5, 3.6))  # fmt: skip
     _, (value,) = policy_and_value(agent, shown)
-    of_cells = found.ndim == 3 and len(flat) != len(f"{asked.level}".splitlines())
+    of_cells = found.ndim == 3 and len(flat) != len(asked.level.cells)
     around = " The agent is in the middle of what it sees." if of_cells else ""
     return [
         _part(
