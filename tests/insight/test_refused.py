@@ -29,6 +29,15 @@ SEEN = np.zeros((1, 4, 7, 7), np.uint8)
 ONE = Condition([Vectors("spread", np.zeros((1, 6, 7, 7), np.float32))])
 THIRD = LEVEL.copy()
 THIRD["time"] = 2
+MANY = initial_states(MAZE, "corner-small", range(1, 7))
+
+
+def _wall(state):
+    return 99, 0
+
+
+def _named(states):
+    return np.where(states["level"] % 2, "odd", "even")
 
 
 @pytest.fixture
@@ -65,6 +74,14 @@ def agent(tmp_path):
         (
             lambda a: effects(a, "corner-small", [1, 2], "cheese", {"one": ONE}),
             "of 2 levels; got 1",
+        ),
+        (
+            lambda a: effects(a, "corner-small", [1], "cheese", {"a": Condition()}, at=_wall),
+            r"at must return a place of the agent in level 0; got \(99, 0\)",
+        ),
+        (
+            lambda a: probe(a, "corner-small", MANY, ["spread"], {"a": _named}),
+            "integers or booleans, for classes, or reals; got 'odd'",
         ),
         (lambda a: ahead(THIRD, 7), "states must be those of whole episodes"),
         (lambda a: Condition(coefficient=np.nan), "coefficient must be a finite number"),

@@ -30,7 +30,7 @@ from astray.estimate import Estimate
 from astray.game import Variant
 from astray.insight.activations import activations, beginnings_in
 from astray.protocols import Classes
-from astray.validation import MOST, bounded, of_kind
+from astray.validation import MOST, bounded, of_kind, shown
 
 SEEN = "observation"  # in the place of a layer: what the agent is shown
 TEST = 0.3  # fraction of levels that a probe is scored on
@@ -134,6 +134,9 @@ def is_class(y: np.ndarray) -> bool:
 
 def _usable(y: np.ndarray, fold: np.ndarray) -> np.ndarray:
     """Return a mask [N] of the states whose label is learned in some folds and told in others."""
+    if y.dtype.kind not in "biuf":
+        told = f"integers or booleans, for classes, or reals; got {shown(y[0])}"
+        raise ValueError(f"the values of a label must be {told}")
     kinds = y.astype(np.int64) if is_class(y) else np.where(np.isfinite(y), 0, -1)
     counted = zip(*np.unique(kinds[kinds >= 0], return_counts=True), strict=True)
     usable = [k for k, n in counted if n >= LEAST and np.unique(fold[kinds == k]).size > 1]

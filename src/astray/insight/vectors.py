@@ -27,7 +27,7 @@ from astray.insight.fields import Places, cell_of, drawn, places_of
 from astray.insight.interventions import steer
 from astray.level import Cell, Level
 from astray.record import count_levels
-from astray.validation import MOST, bounded, finite, of_kind, shown
+from astray.validation import MOST, bounded, check_cell, finite, of_kind, shown
 
 Edit = Callable[[Level], Level]
 
@@ -217,6 +217,8 @@ def effects(
         if level.agent not in around.distances(to):
             continue
         extra = at(level.state(solvable=False)) if at else None
+        if extra is not None and (extra := check_cell(extra)) not in around.number:
+            raise ValueError(f"at must return a place of the agent in level {k}; got {extra}")
         count = places - (extra is not None)
         some = _some(around, to, count, np.random.default_rng([seed, k]))
         looked_at = [*some, *([] if extra is None else [extra])]
