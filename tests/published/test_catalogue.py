@@ -328,6 +328,18 @@ def test_an_agent_without_published_measurements_is_compared_with_random_actions
     assert row["verdict"] in (home / "m" / "README.md").read_text()
 
 
+def test_a_check_chooses_actions_as_the_card_says(astray, home, tmp_path, mouse):
+    (tmp_path / "agent.pth").write_bytes(mouse)
+    of = ("--game", "maze", "--variant", "corner-small", "--art", "own", "--mode", "greedy")
+    astray("import", tmp_path / "agent.pth", "--as", "m", *of)
+    (row,) = json.loads(astray("agents", "check", "m", "--levels", "0:8", "--json"))
+    lengths = {
+        mode: evaluate(open_run("m", mode)[0], "maze", "corner-small", range(8))["length"].mean()
+        for mode in ("greedy", "sampled")
+    }
+    assert row["length"] == lengths["greedy"] != lengths["sampled"]
+
+
 HERE = Path(os.environ.get("ASTRAY_PUBLISHED", "")) if os.environ.get("ASTRAY_PUBLISHED") else None
 
 

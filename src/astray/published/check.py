@@ -18,6 +18,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random
 from astray.analysis.runs import open_run
 from astray.published.catalogue import Check
+from astray.training.folders import AgentFolder
 
 SOME = 100  # levels of an agent of which nothing was published
 
@@ -57,7 +58,8 @@ def check(
     Args:
         levels: [N] numbers; None for the first ones, as many as the published count needs.
     """
-    agent, config = open_run(run)
+    # Actions are chosen as they were when its published results were measured.
+    agent, config = open_run(run, AgentFolder.open(run).origin().get("actions", "sampled"))
     rows = []
     for one in checks:
         chosen = np.arange(one.levels + one.environments) if levels is None else levels
