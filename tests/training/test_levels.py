@@ -48,6 +48,16 @@ def played(reward, ended):
     return Played(reward, np.zeros(reward.shape, np.float32), ended, np.zeros_like(ended))
 
 
+def test_few_levels_are_scored_before_they_are_replayed():
+    config = PLR.changed(levels=40, buffer=4096, score="positive-value-loss")
+    sampler, shape = Replay(config), (8, config.num_envs)
+    while sampler.plan(0).learn:
+        pass
+    ended = np.zeros(shape, bool)
+    sampler.note(Played(np.ones(shape), np.ones(shape, np.float32), ended, ended))
+    assert (sampler.score > 0).any() and len(sampler.states) == 40
+
+
 def test_returns_are_those_of_the_episodes_that_ended_one_by_one():
     reward, _, ended = rollout()
     mean, best = discounted_returns(reward, ended, 0.9)

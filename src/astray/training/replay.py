@@ -81,6 +81,8 @@ class Replay:
         if self.mutates and not self.game.mutation:
             self.game.mutation.mutate  # noqa: B018  # says that there is none
         n, size = config.num_envs, config.sampler.buffer
+        if not self.mutates:  # each training level once, as those that are there enter no more
+            size = min(size, max(n, config.levels))
         self.places = np.zeros(n, np.int64)  # places in the buffer of the last replay
         if size < n:
             raise ValueError(f"buffer must hold a level for each of {n} environments; got {size}")

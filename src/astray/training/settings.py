@@ -72,7 +72,8 @@ class Sampling:
     shifted_levels: Annotated[int | None, otherwise("follows from the fraction")] = None
     # Total number of steps played in shifted levels, instead of levels begun (mixed).
     shifted_steps: Annotated[int | None, otherwise("follows from the fraction")] = None
-    buffer: int = 4096  # Number of levels in the replay buffer (plr, accel).
+    # Number of levels in the replay buffer; for plr at most that of training levels (plr, accel).
+    buffer: int = 4096
     # Probability that a rollout replays levels (plr, accel).
     replay: Annotated[float | None, otherwise("1/3 for plr, 1/2 for accel")] = None
     # Temperature of replay: a level's weight is (1 / rank) ** (1 / temperature) (plr, accel).
