@@ -193,7 +193,16 @@ def test_a_level_is_found_where_goals_are_counts_that_the_end_tells():
 
 def test_the_agent_is_said_to_be_in_the_middle_only_where_it_is():
     agent, game = load_agent("supervisor-half"), games.find("supervisor")
-    rows = "######## #......# #.####.# #@#..#.# #x#..#.# #.####.# #.G....# ########".split()
+    rows = [
+        "########",
+        "#......#",
+        "#.####.#",
+        "#@#..#.#",
+        "#x#..#.#",
+        "#.####.#",
+        "#.G....#",
+        "########",
+    ]
     level = Level.from_text(game, game.variant("half"), "\n".join([*rows, "@ on x"]))
     asked = explain.Asked(agent, level.variant, level, "half", (), np.arange(3))
     (section,) = explain._attribution(asked)
