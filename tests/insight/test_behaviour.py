@@ -59,6 +59,13 @@ def test_what_cannot_be_predicted_is_told(caused):
             predict(odd, "outcome", ["cause", name])
 
 
+def test_a_feature_without_effect_has_no_sign(caused):
+    chance = caused.with_columns(chance=pl.Series([100, 120, 7] * 500))
+    row = predict(chance, "outcome", ["chance"]).features.row(0, named=True)
+    assert row["coefficient"] == 0 and row["sign"] is None
+    assert predict(caused, "outcome", ["cause"]).features["sign"].to_list() == [1.0]
+
+
 def test_a_level_counts_once_in_a_prediction(caused):
     once = caused.with_row_index("level")
     with pytest.raises(ValueError, match="one per level; 3000 of 3000 share the number"):

@@ -236,7 +236,7 @@ def _signs(
             if value:
                 same[k].append(bool(np.sign(value) == np.sign(whole[k])))
     return [
-        float(np.mean(s)) if s and whole[k] else (1.0 if count == 1 else None)
+        float(np.mean(s or [True])) if whole[k] and (s or count == 1) else None
         for k, s in enumerate(same)
     ]
 
