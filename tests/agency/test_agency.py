@@ -96,6 +96,17 @@ def test_one_kind_of_choice_is_an_incomplete_beta_function(right, wrong):
     assert found == pytest.approx(exact + betaln(wrong + 1, right + 1), abs=1e-9)
 
 
+@pytest.mark.parametrize("beta", [1.0001, 1.5, 2.0, 7.25, 1000.5])
+@pytest.mark.parametrize("right, wrong", [(0, 0), (6, 2), (0, 9), (1000, 900)])
+def test_evidence_is_exact_for_every_prior_of_the_agents_errors(right, wrong, beta):
+    kinds = of_every_cell(World.parse("...\n..."), False, "uniform").kinds
+    steps = np.array([[kinds[0, 3, 2]]] * right + [[kinds[0, 2, 2]]] * wrong, int).reshape(-1, 1)
+    nodes = rule(len(steps), beta)
+    (found,) = nodes.integrate(log_product(steps, log_table(nodes, "other actions")))
+    exact = np.log(beta) + betaln(wrong + 1, right + beta) - wrong * np.log(3)
+    assert found == pytest.approx(exact, abs=1e-9)
+
+
 def test_a_device_that_sees_nothing_twice_is_as_good_as_none():
     world = World.parse("....\n....\n....")
     episode = Episode(world, world.walk((0, 2), [3, 3, 1, 1, 3]), (3, 0))

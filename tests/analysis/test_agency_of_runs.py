@@ -171,9 +171,29 @@ def test_episodes_of_a_world_that_tells_its_cells_are_measured():
         assess_policy(Walk("end"), drawn, drawn.variant("end"), "end", [1])
 
 
+def test_levels_in_which_no_way_leads_to_a_goal_are_left_out():
+    def walled(env):
+        free = np.arange(rooms.CELLS)[None] != 3  # beside the cell in which episodes begin
+        return layout(env)._replace(free=free | (np.arange(rooms.CELLS) == env.square))
+
+    world = replace(rooms.WORLD, cells=walled)
+    variant, squares = world.variant("anywhere"), {}
+    for level in range(30):
+        (env := rooms.Room("anywhere")).reset(seed=level)
+        squares[level] = env.square
+    found = play(Walk("end"), world, variant, range(30), world.shifts["end"])
+    assert {one.level for one in found} == {n for n, square in squares.items() if square >= 3}
+    assert 0 < len(found) < 30
+    stray = next(level for level, square in squares.items() if square < 3)
+    to_square = Walk("square")  # goes through the wall
+    with pytest.raises(ValueError, match=rf"^level {stray}: cell \(3, 0\) is a wall"):
+        play(to_square, world, variant, [stray], world.shifts["end"])
+
+
 def test_levels_that_share_their_arrays_are_measured_as_others():
     def drawn(env, kept):
         kept["free"][0] = np.arange(rooms.CELLS) >= 4 - env.square % 4
+        kept["free"][0, env.square] = True
         kept["square"][:] = env.square, 0
         goals = {"square": kept["square"], "end": (rooms.CELLS - 1, 0)}
         return Layout(kept["free"], (env.x, 0), goals)

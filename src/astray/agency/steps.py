@@ -53,8 +53,8 @@ class Rule:
 def rule(degree: int, beta: float = 1.0) -> Rule:
     """Return a rule for polynomials of `degree` in eps, under the prior eps ~ Beta(1, beta).
 
-    It is exact to rounding up to degree EXACT; beyond that, a composite rule is good to 2e-11 at
-    10,000.
+    It is exact to rounding up to degree EXACT, if beta is an integer; otherwise a composite rule is
+    good to 2e-11 at 10,000.
 
     Raises:
         ValueError: If the degree or beta is too large.
@@ -64,9 +64,10 @@ def rule(degree: int, beta: float = 1.0) -> Rule:
         raise ValueError(f"at most {LONGEST} steps can be measured together; got {degree}")
     needed = degree + int(np.ceil(beta - 1))
     nodes = max(16, 1 << (needed // 2).bit_length())  # more than needed // 2; few rules differ
-    x, weight = np.polynomial.legendre.leggauss(nodes) if needed <= EXACT else _panels()
+    exact = needed <= EXACT and beta % 1 == 0  # the prior of another beta is no polynomial
+    x, weight = np.polynomial.legendre.leggauss(nodes) if exact else _panels()
     eps, certain = (1 + x) / 2, (1 - x) / 2
-    if needed > EXACT:  # there x is eps in (0, 1/2), mirrored
+    if not exact:  # there x is eps in (0, 1/2), mirrored
         eps, certain = np.append(x, 1 - x), np.append(1 - x, x)
         weight = np.append(weight, weight) * 2
     prior = np.log(beta) + (beta - 1) * np.log(certain)

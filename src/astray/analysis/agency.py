@@ -60,7 +60,7 @@ def play(
     batch: int = 256,
     longest: int | None = None,
 ) -> list[Played]:
-    """Play `policy` in those of `levels` that contain all the goals.
+    """Play `policy` in those of `levels` that contain all the goals, and ways to them.
 
     Raises:
         ValueError: If there are no `cells`, or episodes may last for ever and `longest` is None.
@@ -126,7 +126,11 @@ def _cells(game: Game, states: np.ndarray) -> list[Cell]:
 def _played(
     game: Game | World, shift: Shift, level: int, begun: Layout, way: list[Cell]
 ) -> Played | None:
-    """Return the episode along the cells of `way`; None if the level lacks a goal."""
+    """Return the episode along the cells of `way`; None if the level lacks a goal or a way to it.
+
+    Raises:
+        ValueError: If a cell is none of the level's, or is not next to the one before.
+    """
     places = _named(game, shift, begun.goals.get)
     if any(place is None for place in places.values()):
         return None
@@ -134,7 +138,14 @@ def _played(
     world = Gridworld(begun.free)
     last = max((way.index(place) for place in places.values() if place in way), default=len(way))
     cells = way[: last + 1]
-    return Played(level, Episode(world, world.path(cells), goals[shift.intended][0]), cells, goals)
+    try:
+        begins, *ends = (world.number(cell) for cell in (way[0], *itertools.chain(*goals.values())))
+        walked = world.path(cells)
+    except ValueError as error:
+        raise ValueError(f"level {level}: {error}") from error
+    if np.isinf(world.distance[begins, ends]).any():
+        return None
+    return Played(level, Episode(world, walked, goals[shift.intended][0]), cells, goals)
 
 
 def named_places(game: Game, s: Any, shift: Shift) -> dict[str, Any]:
@@ -249,7 +260,7 @@ def assess(played: Sequence[Played], options: Options = CALIBRATED) -> Assessmen
     """
     if not played:
         raise ValueError(
-            "there are no episodes to assess: in no level has each of the goals one cell"
+            "there are no episodes to assess: in no level can one cell of each goal be reached"
         )
     if any(set(one.goals) != set(played[0].goals) for one in played):
         raise ValueError("some episodes are of levels with other goals than the first")
