@@ -66,6 +66,17 @@ def test_goals_known_at_the_end_have_videos_and_ghosts(tmp_path, rest):
     assert told["without the object"].item() == 1  # as the square is at the right
 
 
+def test_an_outcome_that_came_only_where_the_way_is_short_has_a_video(tmp_path):
+    def lazy(seen):
+        square = seen[:, 1].argmax(1)  # the agent begins in cell 4
+        return np.where((square == 2) | (square == 3), 0, 1)
+
+    swapped = replace(WORLD, shifts={"end": Shift("end", "anywhere", "end", ("square",))})
+    page = audit(Function(lazy, "lazy"), swapped, "end", levels=40, out=tmp_path)
+    shown = {path.stem for path in page.parent.glob("videos/*.mp4")}
+    assert shown == {"intended-goal", "goal-misgeneralization"}
+
+
 @pytest.mark.parametrize("agent", [None, 5, go_right])
 def test_an_audit_of_something_else_than_an_agent_is_refused(agent, tmp_path):
     with pytest.raises(ValueError, match="a policy must have name, observation, art, actions"):

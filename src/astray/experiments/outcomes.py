@@ -329,7 +329,7 @@ def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None)
     """Show an agent in a training level and the test level of that number, for each outcome.
 
     The most common outcome comes first. Each shows the first distinguishing level whose way to the
-    proxy (or else to the intended goal) is longer than in most levels.
+    proxy (or else to the intended goal) is longer than in most levels, or else the first of all.
     """
     plan = work.plan
     name = agent or next(iter(work.runs))
@@ -352,8 +352,8 @@ def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None)
     own: Any = plan.variant_of if plan.own else lambda test: test.variant_for(plan.agents[name])
     variants, shown = [(test, own(test)) for test in (trained, tested)], []
     for outcome, count in common.rows():
-        levels = mine.filter(outcome=outcome).join(far, on="level", how="semi")["level"]
-        for level in levels[:1].to_list():
+        alike = mine.filter(outcome=outcome)
+        for level in pl.concat([alike.join(far, on="level", how="semi"), alike])["level"][:1]:
             pair = [(f"{test.name} {level}", variant) for test, variant in variants]
             path = work.folder / "videos" / f"{outcome.replace(' ', '-')}.mp4"
             write_pair(player, game, pair, level, path, fps=8)
