@@ -2,6 +2,8 @@
 
 import json
 import re
+from dataclasses import replace
+from functools import partial
 
 import gymnasium
 import numpy as np
@@ -17,6 +19,8 @@ from astray.insight import explain as page
 from astray.insight.fields import fields
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
+from astray.world import Layout
+from helpers import rooms
 from helpers.thorough import thorough
 
 MAZE = games.find("maze")
@@ -175,3 +179,22 @@ def test_models_without_an_actor_are_played_as_functions():
     assert isinstance(looked_into(from_sb3(model, greedy=True), MAZE), Opaque)
     with pytest.raises(ValueError, match=r"DQN explores at random .* without seed; give greedy=Tr"):
         from_sb3(model)
+
+
+def test_what_agency_found_in_a_world_that_shows_no_images_is_kept(astray, monkeypatch, tmp_path):
+    def layout(env):
+        there = {"square": (env.square, 0), "end": (rooms.CELLS - 1, 0)}
+        return Layout(np.ones((1, rooms.CELLS), bool), (env.x, 0), there)
+
+    seen = replace(rooms.WORLD, cells=layout)
+    makers = {name: partial(rooms.Room, name, trouble="blind") for name in seen.variants}
+    blind = replace(seen, variants=makers)
+    monkeypatch.setattr(rooms, "SEEN", seen, raising=False)
+    monkeypatch.setattr(rooms, "BLIND", blind, raising=False)
+    words = ("agency", "--policy", "walk:end", "--shift", "end", "--levels", "0:12")
+    out = tmp_path / "told"
+    astray(*words, "--world", "helpers.rooms:SEEN", "--out", out)
+    assert len([*out.iterdir()]) == 5
+    with pytest.warns(UserWarning, match="there is no video: .* its render fails"):
+        assert "12 episodes" in astray(*words, "--world", "helpers.rooms:BLIND", "--out", out)
+    assert {path.name for path in out.iterdir()} == {"agency.json", "episodes.parquet"}

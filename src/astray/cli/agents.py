@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import json
 import os
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -250,7 +251,7 @@ def agency(
     chosen = unseen[:SOME] if levels is None else level_numbers(levels)
     assessed, recorded = assess_policy(policy, rules, variant, shift, chosen, measure, longest)
     if out:
-        _write_assessment(assessed, recorded(), out)
+        _write_assessment(assessed, recorded, out)
     if json:
         print_json(assessed.summary())
         return
@@ -261,19 +262,29 @@ def agency(
     print(assessed.sentence())
 
 
-def _write_assessment(assessed: Assessment, frames: np.ndarray, folder: Path) -> None:
+def _write_assessment(
+    assessed: Assessment, recorded: Callable[[], np.ndarray], folder: Path
+) -> None:
     from PIL import Image
 
     from astray.analysis import video
+    from astray.world import Failed, Silent
 
-    picture = io.BytesIO()
-    Image.fromarray(frames[-1]).save(picture, "PNG")
     with files_aside(folder, SUMMARY, MARK) as aside:
         write_aside(aside / SUMMARY, json.dumps(assessed.summary()).encode())
-        movie, _, last = (aside / name for name in POSTERIOR)
-        video.write(frames, movie, fps=4)
-        write_aside(last, picture.getvalue())
         write_table(assessed.episodes, aside / EPISODES)
+        movie, _, last = (aside / name for name in POSTERIOR)
+        try:
+            frames = recorded()
+        except (Failed, Silent) as error:
+            warnings.warn(f"there is no video: {error}", stacklevel=2)
+            for name in POSTERIOR:  # of another assessment
+                (folder / name).unlink(missing_ok=True)
+            return
+        video.write(frames, movie, fps=4)
+        picture = io.BytesIO()
+        Image.fromarray(frames[-1]).save(picture, "PNG")
+        write_aside(last, picture.getvalue())
 
 
 def show_amounts(episodes: pl.DataFrame, columns: Sequence[str]) -> None:
