@@ -1,6 +1,7 @@
 """The agency measure against enumeration and closed forms."""
 
 import itertools
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -105,6 +106,13 @@ def test_evidence_is_exact_for_every_prior_of_the_agents_errors(right, wrong, be
     (found,) = nodes.integrate(log_product(steps, log_table(nodes, "other actions")))
     exact = np.log(beta) + betaln(wrong + 1, right + beta) - wrong * np.log(3)
     assert found == pytest.approx(exact, abs=1e-9)
+
+
+def test_a_measured_world_keeps_no_distances_between_all_its_cells():
+    """Those of hundreds of episodes in worlds of 1,000 cells would take gigabytes."""
+    world = World(np.ones((20, 20), bool))
+    measure(Episode(world, world.walk((0, 0), [3, 3, 0]), (5, 5)))
+    assert len(pickle.dumps(world)) < 400**2
 
 
 def test_a_device_that_sees_nothing_twice_is_as_good_as_none():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -95,12 +95,10 @@ class World:
         """[F, 4] bool, actions that change the cell."""
         return self.after != np.arange(len(self.cells))[:, None]
 
-    @cached_property
+    @property
     def distance(self) -> np.ndarray:
         """[F, F] float64, steps from each cell to each; inf without a way."""
-        rows, actions = np.nonzero(self.legal)
-        graph = csr_array((np.ones(len(rows)), (rows, self.after[rows, actions])), (len(self),) * 2)
-        return dijkstra(graph, unweighted=True)
+        return _distances(self)
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -202,3 +200,10 @@ class World:
         moved = trajectory.cells[1:] != trajectory.cells[:-1]
         kept = np.append(trajectory.cells[0], trajectory.cells[1:][moved])
         return Trajectory(kept, trajectory.actions[moved])
+
+
+@lru_cache(maxsize=8)  # of the last few worlds, as that of 1,000 cells takes 8 MB
+def _distances(world: World) -> np.ndarray:
+    rows, actions = np.nonzero(world.legal)
+    ways = np.ones(len(rows)), (rows, world.after[rows, actions])
+    return dijkstra(csr_array(ways, (len(world),) * 2), unweighted=True)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 from PIL import Image
+from scipy import ndimage
 from scipy.special import softmax
 
 from astray import games
@@ -143,7 +144,8 @@ def _played(
         walked = world.path(cells)
     except ValueError as error:
         raise ValueError(f"level {level}: {error}") from error
-    if np.isinf(world.distance[begins, ends]).any():
+    regions = ndimage.label(begun.free)[0][tuple(world.cells.T[::-1])]
+    if (regions[ends] != regions[begins]).any():
         return None
     return Played(level, Episode(world, walked, goals[shift.intended][0]), cells, goals)
 
