@@ -15,6 +15,7 @@ from astray.acting import Answer, initial_states
 from astray.agents.policy import Architecture
 from astray.cli.distil import distil
 from astray.training import checkpoint, loop, ppo, teacher
+from astray.training.config import LeftOut
 from astray.training.fast import acceleration
 from astray.training.folders import TEACHER
 from astray.training.loop import collect, improve, train
@@ -166,6 +167,14 @@ def test_a_teacher_that_sees_images_is_shown_those_that_it_knows(tmp_path):
     with pytest.raises(ValueError, match=r"the teacher sees art 'own'; .*; got 'original'"):
         distil(tmp_path / "teacher", art="original", out=tmp_path / "students")
     assert not (tmp_path / "students").exists()
+
+
+def test_knobs_of_a_teacher_that_its_students_variant_cannot_have_are_warned_of(tmp_path):
+    its = {"knobs": {**TINY.knobs, "region": 2}, "validation": None}
+    train(replace(TINY, variant="region-3", **its), tmp_path / "teacher", progress=False)
+    told = "anywhere is played with region=1: the training's region=2 are not for it"
+    with pytest.warns(LeftOut, match=told), pytest.raises(ValueError, match="seeds must be"):
+        distil(tmp_path / "teacher", variant="anywhere", seeds=0)
 
 
 def test_students_that_are_refused_leave_no_folder(tmp_path):

@@ -60,6 +60,8 @@ def distil(
     agent, its = open_run(teacher)
     if agent.observation == "image" and art not in (None, its.art):
         raise ValueError(f"the teacher sees art {its.art!r}; its students must see it; got {art!r}")
+    if variant is not None:
+        its.played_variant(variant)  # warns of knobs that are not for it
     name = teacher.resolve().name
     images = observation == "image"
     config = replace(
