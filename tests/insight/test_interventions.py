@@ -213,6 +213,9 @@ def test_a_cell_of_a_level_is_found_in_a_layer(tmp_path):
         (lambda a: patch(a, "spread", [1], 0.0, (0, 7)), "column must be an integer from 0 to 6"),
         (lambda a: ablate(a, "features.relu1", mean_of=np.ones((3, 15))), "must be .M, "),
         (lambda a: resample(a, "features.relu1", np.ones((0, 16))), "must be .M, "),
+        (lambda a: ablate(a, "features.relu1", mean_of=np.full((3, 16), np.nan)), "finite numbers"),
+        (lambda a: resample(a, "features.relu1", np.full((3, 16), np.inf)), "finite numbers"),
+        (lambda a: steer(a, {"features.relu1": np.ma.masked_less([1.0] * 16, 2)}), "finite num"),
     ],
 )
 def test_what_cannot_be_changed_is_told(tmp_path, make, message):

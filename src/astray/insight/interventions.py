@@ -290,7 +290,7 @@ def _fitting(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
         raise ValueError(
             f"{name} must be real numbers that go with what is of shape {shape}; got {shown(given)}"
         ) from None
-    if not np.isfinite(array).all():
+    if np.ma.is_masked(given) or not np.isfinite(array).all():
         raise ValueError(f"{name} must be of finite numbers; it is not")
     return array
 
@@ -300,4 +300,5 @@ def _given(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     of_kind("what the layer gave", values, np.ndarray)
     if values.shape[1:] != shape or not len(values):
         raise ValueError(f"what the layer gave must be [M, {shape}]; got {values.shape}")
+    _fitting("what the layer gave", values, values.shape)
     return values
