@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 
 from astray import world
-from astray.acting import Levels, Policy, Reward, steps
+from astray.acting import Levels, Policy, Reward, Step, steps
 from astray.envs.steps import paid
 from astray.envs.worlds import Unreported, unreported
 from astray.game import Game, Variant
@@ -64,38 +64,55 @@ def evaluate(
     check_measures(measures, (*COLUMNS, *game.events, *game.measures))
     others = (*COLUMNS, *game.events, *game.measures, *(measures or {}))
     check_measures(rewards, others, "rewards")
-    measured_by = {**game.of_states, **(measures or {})}
-    count = count_levels(levels)
-    names = list(levels) if isinstance(levels, Mapping) else [None] * count
-    rows: list[dict[str, Any]] = [{}] * count
-    returns = np.zeros(count)
-    own = {name: np.zeros(count) for name in rewards or {}}
-    last = np.zeros(count if measured_by else 0, game.state)  # states
+    episodes = Episodes(game, levels, measures)
+    own = {name: np.zeros(len(episodes.rows)) for name in rewards or {}}
     played = game.in_every_step if rewards and isinstance(game, World) else game
     for step in steps(policy, played, variant, levels, batch=batch, until=until, longest=longest):
-        returns[step.level] += step.rewards
+        episodes.add(step)
         for name, totals in own.items():
             totals[step.level] += paid(rewards[name], step)  # pyrefly: ignore
-        for i in np.flatnonzero(step.ended):
-            s, k = step.after[i], step.level[i]
-            rows[k] = {
-                "policy": policy.name,
-                "level": int(s.level),
-                "name": names[k],
-                "shifted": bool(s.shifted),
-                "return": float(returns[k]),
-                "length": int(s.time),
-                "terminated": bool(step.terminated[i]),
-                **{event: int(s[event]) if s[event] >= 0 else None for event in game.events},
-            }
-            if measured_by:
-                last[k] = s
     if told := unreported(game):
         warnings.warn(told, Unreported, stacklevel=2)
-    kinds = {"name": pl.String} | {event: pl.Int64 for event in game.events}
-    table = pl.DataFrame(rows, schema_overrides=kinds)
-    measures_of = [measured(name, of, last) for name, of in measured_by.items()]
-    return table.with_columns(*measures_of, *(pl.Series(name, x) for name, x in own.items()))
+    table = episodes.table().select(pl.lit(policy.name).alias("policy"), pl.all())
+    return table.with_columns(pl.Series(name, totals) for name, totals in own.items())
+
+
+class Episodes:
+    """Episodes of a policy, one in each of `levels`, from its steps: a row for each as it ends."""
+
+    def __init__(
+        self, game: Game | World, levels: Levels, measures: Mapping[str, Measure] | None = None
+    ):
+        count = count_levels(levels)
+        self.game, self.measures = game, {**game.of_states, **(measures or {})}
+        self.names = list(levels) if isinstance(levels, Mapping) else [None] * count
+        self.rows: list[dict[str, Any]] = [{}] * count
+        self.returns = np.zeros(count)
+        self.last = np.zeros(count if self.measures else 0, game.state)  # states
+
+    def add(self, step: Step) -> None:
+        self.returns[step.level] += step.rewards
+        for i in np.flatnonzero(step.ended):
+            s, k = step.after[i], step.level[i]
+            self.rows[k] = {
+                "level": int(s.level),
+                "name": self.names[k],
+                "shifted": bool(s.shifted),
+                "return": float(self.returns[k]),
+                "length": int(s.time),
+                "terminated": bool(step.terminated[i]),
+                **{event: int(s[event]) if s[event] >= 0 else None for event in self.game.events},
+            }
+            if self.measures:
+                self.last[k] = s
+
+    def table(self) -> pl.DataFrame:
+        """Return the columns of `evaluate`, without the policy and rewards of your own."""
+        kinds = {"name": pl.String} | {event: pl.Int64 for event in self.game.events}
+        table = pl.DataFrame(self.rows, schema_overrides=kinds)
+        return table.with_columns(
+            measured(name, of, self.last) for name, of in self.measures.items()
+        )
 
 
 def check_measures(measures: Any, taken: Collection[str], kind: str = "measures") -> None:

@@ -11,13 +11,12 @@ import polars as pl
 
 from astray import games
 from astray.acting import Answer, Levels, Policy, Turn, asked, check_policy, steps
-from astray.analysis.evaluate import Measure, measured
+from astray.analysis.evaluate import Episodes, Measure
 from astray.analysis.policies import Random, Walk
 from astray.analysis.trained import Agent
 from astray.envs.vector import Observation
 from astray.game import Game, Variant
 from astray.mitigation.uncertainty import Score
-from astray.record import count_levels
 from astray.validation import of_kind, one_of, shown
 
 Granularity = Literal["step", "level"]
@@ -167,9 +166,8 @@ def play(
 ) -> pl.DataFrame:
     """Play a helped policy; return a table with a row per level.
 
-    Columns: level, return, length (steps), queries (steps of the expert), first (step of the first
-    query, or null), highest (score), moment (in `MOMENTS`, of the first query; null without
-    `watch`), terminated, and the game's events (their steps, or null) and measures.
+    Columns: those of `play_alone`, queries (steps of the expert), first (step of the first query,
+    or null), highest (score), and moment (in `MOMENTS`, of the first query; null without `watch`).
     """
     return _with_help(*play_alone(policy, game, variant, levels, watch), pl.col("helped"), "score")
 
@@ -183,34 +181,22 @@ def play_alone(
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """Play the novice alone; return a table of episodes and a table of scores.
 
-    The first has a row per level (level, return, length, terminated, the game's events and
-    measures). The second has a row per step: level (index in `levels`), time, moment (index in
-    `MOMENTS`, -1 without `watch`), and one column per score, named by its position (of other
-    policies, all that they record).
+    The first has a row per level, with the columns of `evaluate`, the policy apart. The second has
+    a row per step: level (index in `levels`), time, moment (index in `MOMENTS`, -1 without
+    `watch`), and one column per score, named by its position (of other policies, all that they
+    record).
     """
-    game, n = games.find(game), count_levels(levels)
-    returns, rows, seen, parts = np.zeros(n), [{}] * n, np.zeros(n, bool), []
-    last = np.zeros(n, game.state)
-    for step in steps(policy, game, variant, levels):
+    episodes, parts = Episodes(games.find(game), levels), []
+    seen = np.zeros(len(episodes.rows), bool)
+    for step in steps(policy, episodes.game, variant, levels):
+        episodes.add(step)
         where, moment = step.level, np.full(len(step.level), -1)
         if watch:
             seen[where] |= watch.seen(step.before)
             moment = np.where(watch.passed(step.before), 2, seen[where])
         told = {"level": where, "time": step.before["time"].copy(), "moment": moment}
         parts.append(pl.DataFrame(told | dict(step.extra)))
-        returns[where] += step.rewards
-        for i in np.flatnonzero(step.ended):
-            s = last[where[i]] = step.after[i]
-            rows[where[i]] = {
-                "level": int(s["level"]),
-                "length": int(s["time"]),
-                "terminated": bool(step.terminated[i]),
-                **{event: int(s[event]) if s[event] >= 0 else None for event in game.events},
-            }
-    kinds: dict = {event: pl.Int64 for event in game.events}
-    played = pl.DataFrame(rows, schema_overrides=kinds)
-    measures = [measured(name, of, last) for name, of in game.of_states.items()]
-    return played.with_columns(pl.Series("return", returns), *measures), pl.concat(parts)
+    return episodes.table(), pl.concat(parts)
 
 
 def _with_help(played: pl.DataFrame, said: pl.DataFrame, asks: pl.Expr, score: str) -> pl.DataFrame:
