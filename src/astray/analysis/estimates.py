@@ -30,7 +30,7 @@ from astray.validation import MOST, bounded, finite, of_kind, one_of, shown
 CONFIDENCE = 0.95
 POWER = 0.8
 ROUNDED = 1e-12  # relative deviation up to which values count as equal
-AGENT = ("run", "checkpoint", "seed")  # columns of episodes that identify an agent
+AGENT = ("run", "checkpoint", "seed", "agent")  # columns of episodes that identify an agent
 
 
 def quantile(freedom: float, below: float = (1 + CONFIDENCE) / 2) -> float:
@@ -353,10 +353,8 @@ def _satterthwaite(parts: Sequence[tuple[float, float]]) -> float:
 
 def mean_of(rows: pl.DataFrame, value: str | pl.Expr) -> Estimate:
     """Return the mean of a column or expression over all of `rows`; NaN without rows."""
-    named = rows.with_columns(all=pl.lit(0), value=value)
-    if named["value"].drop_nulls().is_empty():
-        return Estimate.nothing()
-    return Estimate.of(group_means(named, "value", ["all"]).row(0, named=True))
+    known = rows.with_columns(value=value).drop_nulls("value")
+    return Estimate.nothing() if known.is_empty() else estimate_rows(known, "value")
 
 
 def group_rates(
@@ -381,8 +379,8 @@ def group_means(
     """Return the mean of the column `value` in each group of `rows`, with 95 % intervals.
 
     Steps of one episode are correlated. As in `estimate_mean`, the independent units are therefore
-    agents (columns "agent" and those of `AGENT`; one if all are missing) and levels. Rows with a
-    null `value` are ignored.
+    agents (columns of `AGENT`; one if all are missing) and levels. Rows with a null `value` are
+    ignored.
 
     Args:
         by: Columns that define the groups.
@@ -401,30 +399,25 @@ def group_means(
     missing = {value, "level", *by, *([per] if per else [])} - set(rows.columns)
     if missing:
         raise ValueError(f"no column {', '.join(sorted(missing))}; there are: {rows.columns}")
-    agent = [name for name in (*AGENT, "agent") if name in rows.columns]
     known, found = rows.drop_nulls(value), []
     if known.is_empty():
         raise ValueError(f"no row of {len(rows)} has a value of {value!r}")
     for key, group in known.group_by(by):
-        estimate = estimate_rows(group, agent, value, per)
+        estimate = estimate_rows(group, value, per)
         found.append(dict(zip(by, key, strict=True)) | vars(estimate))
     table = pl.DataFrame(found, infer_schema_length=None).sort(by)
     return table.with_columns(pl.col("mean", "low", "high").fill_nan(None))
 
 
-def estimate_rows(
-    rows: pl.DataFrame, agent: Sequence[str], value: str, per: str | None = None
-) -> Estimate:
+def estimate_rows(rows: pl.DataFrame, value: str, per: str | None = None) -> Estimate:
     """Return the sum of `value` over that of `per` (1 if None), whichever levels each agent has.
-
-    Args:
-        agent: Columns that identify an agent; without any, all rows are of one.
 
     Raises:
         ValueError: If a row has no level.
     """
     if nulls := rows["level"].null_count():
         raise ValueError(f"each row must have a level; {nulls} of {len(rows)} have none")
+    agent = [name for name in AGENT if name in rows.columns]
     numbers = rows.select(
         (pl.struct(agent).rank("dense") if agent else pl.lit(1)).alias("agent"),
         pl.col("level").rank("dense"),

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from astray import world
-from astray.analysis.estimates import AGENT, estimate_rows
+from astray.analysis.estimates import AGENT, mean_of
 from astray.analysis.policies import Walk
 from astray.estimate import Estimate
 from astray.game import Game, More, Never, Outcome, Shift, Truncated, Variant
@@ -178,7 +178,7 @@ def rates(
     rows = []
     for key, part in episodes.group_by(by, maintain_order=True):
         for outcome in outcomes:
-            estimate = _mean(part, pl.col("outcome") == outcome)
+            estimate = mean_of(part, pl.col("outcome") == outcome)
             rows.append(dict(zip(by, key, strict=True)) | {"outcome": outcome} | vars(estimate))
     return pl.DataFrame(rows, infer_schema_length=None)
 
@@ -197,7 +197,7 @@ def amounts(
     of_kind("by", by, list | tuple)
     _check_columns(episodes, (*by, "level", *measures))
     rows = [
-        dict(zip(by, key, strict=True)) | {"measure": name} | vars(_mean(part, pl.col(name)))
+        dict(zip(by, key, strict=True)) | {"measure": name} | vars(mean_of(part, name))
         for key, part in episodes.group_by(by, maintain_order=True)
         for name in measures
     ]
@@ -208,12 +208,6 @@ def _check_columns(episodes: pl.DataFrame, names: Sequence[str]) -> None:
     of_kind("episodes", episodes, pl.DataFrame)
     if missing := [name for name in names if name not in episodes.columns]:
         raise ValueError(f"episodes must have the columns {', '.join(map(str, missing))}")
-
-
-def _mean(episodes: pl.DataFrame, value: pl.Expr) -> Estimate:
-    """Return the mean of `value`, whichever levels each agent played, and however often."""
-    agent = [name for name in AGENT if name in episodes.columns]
-    return estimate_rows(episodes.select(*agent, "level", value=value), agent, "value")
 
 
 def matrix(episodes: pl.DataFrame, value: pl.Expr) -> np.ndarray:
