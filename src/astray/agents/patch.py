@@ -10,11 +10,10 @@ from collections.abc import Mapping
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import max_pool2d
 
 from astray.agents.actor_critic import Pixels, dense
 from astray.agents.impala import Residual, block
-
-SHAPING = (nn.Conv2d, nn.MaxPool2d, nn.AdaptiveAvgPool2d)
 
 
 class Convolutions(Pixels):
@@ -31,11 +30,15 @@ class Convolutions(Pixels):
         super().__init__()
         self.body = nn.Sequential(OrderedDict(layers))
         height, width, channels = shape
-        seen = torch.zeros(1, channels, height, width)
-        with torch.no_grad():  # the other layers shape nothing, and on "meta" load torch's compiler
-            for layer in self.body.modules():
-                seen = layer(seen) if isinstance(layer, SHAPING) else seen
-        self.features = dense(seen.numel(), features)
+        seen = torch.zeros(1, 1, height, width, device="cpu")
+        for layer in self.body.modules():  # on "meta" a convolution would load torch's compiler
+            if isinstance(layer, nn.Conv2d | nn.MaxPool2d):  # whose results have the same shape
+                seen = max_pool2d(seen, layer.kernel_size, layer.stride, layer.padding)  # pyrefly: ignore
+            if isinstance(layer, nn.Conv2d):
+                channels = layer.out_channels
+            if isinstance(layer, nn.AdaptiveAvgPool2d):
+                seen = layer(seen)
+        self.features = dense(channels * seen.numel(), features)
         self.add_heads(features, actions)
 
     def see(self, planes: Tensor) -> Tensor:
