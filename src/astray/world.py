@@ -148,7 +148,7 @@ class Layout(NamedTuple):
     """The cells of a world whose agent moves from cell to cell, at one time.
 
     Attributes:
-        free: [H, W] bool, indexed [y, x]: the cells that the agent can stand in.
+        free: [H, W] bool, indexed [y, x], y upward: the cells that the agent can stand in.
         agent: Its cell (x, y).
         goals: Cell (x, y) of each goal, or None if it is absent.
     """
