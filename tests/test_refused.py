@@ -101,7 +101,7 @@ def test_the_compiled_loss_refuses_samples_of_other_outputs(action, count, error
     column = torch.zeros(count)
     samples = Samples(column, torch.full((count,), action), column, column, column, column)
     with pytest.raises(error):
-        fused.Loss.apply(torch.zeros((8, 16)), samples, (0.2, 0.5, 0.01))
+        fused.loss(torch.zeros((8, 16)), samples, (0.2, 0.5, 0.01))
 
 
 @pytest.mark.parametrize("x, y", [(3, 0), (0, 3), (-1, 0), (10**12, 0), (0, -(10**12))])

@@ -48,7 +48,7 @@ def compile_losses() -> None:
     batch = Samples(planes, torch.zeros(1, dtype=torch.int64), one, one, one, one)
     for between in (torch.float32, torch.bfloat16):
         outputs = sparse.outputs(MLP((1, 1, 1), [1], 2), planes, between)
-        loss, _ = fused.Loss.apply(outputs, batch, (0.2, 0.5, 0.01))  # pyrefly: ignore
+        loss, _ = fused.loss(outputs, batch, (0.2, 0.5, 0.01))
         loss.backward()
 
 

@@ -344,7 +344,7 @@ class Model:
                 return microbatches.loss(whole, list(self.own.parameters()), batch, size)
             return whole(batch)
         weights = (self.config.clip, self.config.value_weight, self.config.entropy_weight)
-        total, parts = fused.Loss.apply(self._sparse(batch.observation), batch, weights)  # pyrefly: ignore
+        total, parts = fused.loss(self._sparse(batch.observation), batch, weights)
         return {"loss": total, **dict(zip(fused.PARTS, parts, strict=True))}
 
     def _sparse(self, observation: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ from astray.training.ppo import Samples
 
 
 class Known(torch.autograd.Function):
-    """A loss whose gradients for all weights were computed in the forward pass."""
+    """A loss whose gradients, by weights or by outputs, were computed with it."""
 
     @staticmethod
     def forward(ctx: Any, loss: Tensor, gradients: list[Tensor], *_: Tensor) -> Tensor:

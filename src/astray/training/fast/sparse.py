@@ -8,8 +8,6 @@ from typing import Any
 import numba
 import numpy as np
 import torch
-from numba import types
-from numba.extending import overload
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -59,10 +57,10 @@ class Forward(torch.autograd.Function):
     ) -> Tensor:
         w1, b1, w2, b2, policy, policy_bias, value, value_bias = weights
         ctx.found = ends, rows, values = _found(planes, spread)
-        h1 = planes.new_empty((len(planes), len(w1)), dtype=between)
+        hidden = planes.new_empty((len(planes), len(w1)), dtype=torch.float32)
         weight, bias = w1.detach().T.contiguous().numpy(), b1.detach().numpy()
-        add_rows(ends, rows, values, weight, bias, _array(h1))
-        w2 = w2.to(between)
+        add_rows(ends, rows, values, weight, bias, hidden.numpy())
+        h1, w2 = hidden.to(between), w2.to(between)
         h2 = torch.addmm(b2.to(between), h1, w2.T).float().relu_()
         w3 = torch.cat([policy, value])
         ctx.save_for_backward(w1, h1, w2, h2, w3)
@@ -72,24 +70,17 @@ class Forward(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:  # pyrefly: ignore
         w1, h1, w2, h2, w3 = ctx.saved_tensors
-        exact, grad_h2 = grad @ w3, torch.empty_like(h1)
-        pass_relu(exact.numpy(), h2.numpy(), _array(grad_h2))
-        grad_h1, grad_w2 = grad_h2 @ w2, (grad_h2.T @ h1).float()
+        pass_relu = torch.ops.aten.threshold_backward  # zeros where the output is not above 0
+        exact = pass_relu(grad @ w3, h2, 0)
+        grad_h2 = exact.to(h1.dtype)
+        grad_h1, grad_w2 = pass_relu(grad_h2 @ w2, h1, 0).float(), (grad_h2.T @ h1).float()
         grad_w1, grad_b1 = w1.new_zeros(w1.shape[::-1]), w1.new_zeros(len(w1))
-        ends, rows, values = ctx.found
-        add_to_rows(
-            ends, rows, values, _array(h1), _array(grad_h1), grad_w1.numpy(), grad_b1.numpy()
-        )
+        add_to_rows(*ctx.found, grad_h1.numpy(), grad_w1.numpy(), grad_b1.numpy())
         grad_w3, grad_b3 = grad.T @ h2, grad.sum(0)
         return (
             None, None, None, grad_w1.T, grad_b1, grad_w2, exact.sum(0),
             grad_w3[:-1], grad_b3[:-1], grad_w3[-1:], grad_b3[-1:],
         )  # fmt: skip
-
-
-def _array(x: Tensor) -> np.ndarray:
-    """Return `x` as an array for the kernels; bfloat16, which NumPy lacks, as raw bits."""
-    return (x.view(torch.int16) if x.dtype == torch.bfloat16 else x).numpy()
 
 
 def _found(planes: Tensor, spread: CircleEmbedding) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -151,68 +142,16 @@ def add_rows(ends, rows, values, weight, bias, hidden):
                 pair = p * weight[a, x] + q * weight[b, x]
                 total[x] += pair + (r * weight[c, x] + s * weight[d, x])
         for x in range(len(bias)):
-            put(hidden, i, x, max(total[x], np.float32(0)))
+            hidden[i, x] = max(total[x], np.float32(0))
 
 
 @entry
-def pass_relu(grad, output, below):
-    """Compute the gradient below a ReLU from that above it, into `grad` and `below` [B, width]."""
-    for i in range(len(grad)):
-        for x in range(grad.shape[1]):
-            through = grad[i, x] if output[i, x] > 0 else np.float32(0)
-            grad[i, x] = through
-            put(below, i, x, through)
-
-
-@entry
-def add_to_rows(ends, rows, values, hidden, grad, weight, bias):
+def add_to_rows(ends, rows, values, grad, weight, bias):
     """Add the first layer's gradients to `weight` and `bias`; `grad` is [B, width]."""
-    through = np.empty(len(bias), np.float32)
-    for i in range(len(hidden)):
+    for i in range(len(grad)):
         for x in range(len(bias)):
-            through[x] = real(grad[i, x]) if hidden[i, x] > 0 else np.float32(0)
-            bias[x] += through[x]
+            bias[x] += grad[i, x]
         for n in range(ends[i], ends[i + 1]):
             row, value = rows[n], values[n]
             for x in range(len(bias)):
-                weight[row, x] += value * through[x]
-
-
-# What a kernel's table holds is float32; or int16 with the bits of a bfloat16, the upper half of
-# a float32, which is above 0 where that is.
-def real(x: Any) -> Any:
-    """Return the number stored as `x`."""
-    return (_real_float if isinstance(x, np.floating) else _real_half)(x)
-
-
-def put(table: Any, i: Any, x: Any, number: Any) -> None:
-    """Store `number` at table[i, x]."""
-    (_put_float if table.dtype == np.float32 else _put_half)(table, i, x, number)
-
-
-def _real_float(x):
-    return x
-
-
-def _real_half(x):
-    return np.uint32(np.uint32(np.uint16(x)) << np.uint32(16)).view(np.float32)
-
-
-def _put_float(table, i, x, number):
-    table[i, x] = number
-
-
-def _put_half(table, i, x, number):
-    bits = np.float32(number).view(np.uint32)
-    even = (bits >> np.uint32(16)) & np.uint32(1)  # in the middle it goes to the even one
-    table[i, x] = np.int16(np.uint32(bits + even + np.uint32(0x7FFF)) >> np.uint32(16))
-
-
-@overload(real, strict=False)
-def _real(x: Any) -> Any:
-    return _real_float if isinstance(x, types.Float) else _real_half
-
-
-@overload(put, strict=False)
-def _put(table: Any, i: Any, x: Any, number: Any) -> Any:
-    return _put_float if isinstance(table.dtype, types.Float) else _put_half
+                weight[row, x] += value * grad[i, x]
