@@ -27,10 +27,7 @@ def action_table(space: Space) -> np.ndarray:
         raise ValueError(f"actions must be Discrete or MultiDiscrete; got {space}")
     if (count := math.prod(map(int, space.nvec))) > MOST_ACTIONS:
         raise ValueError(f"actions may have {MOST_ACTIONS} combinations; got {count} of {space}")
-    return (
-        np.stack([axis.ravel() for axis in np.indices(tuple(map(int, space.nvec)))], 1)
-        + space.start
-    )
+    return np.argwhere(np.ones(space.nvec)) + space.start
 
 
 def seen_space(space: Space, observation: str) -> spaces.Box:

@@ -44,14 +44,7 @@ def shown_in_training(config: Config) -> Space:
 
 
 def whole_step(
-    env: Any,
-    before: tuple[np.ndarray, np.ndarray],
-    answer: Answer,
-    shown_here: np.ndarray,
-    reward: np.ndarray,
-    terminated: np.ndarray,
-    ended: np.ndarray,
-    info: dict[str, Any],
+    env: Any, before: tuple[np.ndarray, np.ndarray], answer: Answer, taken: tuple[Any, ...]
 ) -> Step:
     """Return a step in the form of evaluation, with the final states of restarted episodes.
 
@@ -59,17 +52,13 @@ def whole_step(
         env: Environments after the step.
         before: States [n] and observations [n, ...] before it.
         answer: The actor's answer.
-        shown_here: Observations [n, ...] after it.
-        reward: [n], as `env` returned them.
-        terminated: [n] bool.
-        ended: [n] bool, terminated or truncated.
-        info: As `env` returned it, with the last observations of ended episodes.
+        taken: Result of `env.step`.
     """
-    after, seen = env.get_state(), shown_here
+    seen, reward, terminated, truncated, info = taken
+    (states, observations), after, ended = before, env.get_state(), terminated | truncated
     if ended.any():
-        seen = shown_here.copy()
+        seen = seen.copy()
         after[ended], seen[ended] = env.final_states[ended], np.stack(info["final_obs"][ended])
-    states, observations = before
     return Step(
         states["level"],
         states,

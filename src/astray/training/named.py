@@ -1,5 +1,6 @@
 """Names that stand for games and variants in settings, and what older versions wrote."""
 
+import contextlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, fields, replace
@@ -11,17 +12,6 @@ from astray.validation import of_kind
 from astray.world import World, WorldVariant
 
 
-def name_of_game(game: Game) -> str:
-    """Return the name of `game`; raise ValueError if that name finds another game."""
-    try:
-        found = games.find(game.name)
-    except ValueError:
-        found = None
-    if found is not game:
-        raise ValueError(f"the game {game.name!r} must be registered first: astray.register(game)")
-    return game.name
-
-
 def name_of_played(game: Any) -> Any:
     """Return the name of a game or a `World`; anything else that is no such object stays.
 
@@ -31,7 +21,13 @@ def name_of_played(game: Any) -> Any:
         ValueError: If a game is not registered, or what is imported is no World.
     """
     if isinstance(game, Game):
-        return name_of_game(game)
+        found = None
+        with contextlib.suppress(ValueError):
+            found = games.find(game.name)
+        if found is not game:
+            told = f"the game {game.name!r} must be registered first: astray.register(game)"
+            raise ValueError(told)
+        return game.name
     if isinstance(game, str) and imports.is_name(game) and game not in games.names():
         game = imports.find(game)
         of_kind("a world", game, World)

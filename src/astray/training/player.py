@@ -118,11 +118,10 @@ class Player:
         env, where = self.envs[group], self.groups[group]
         shown_here = self.images[where].numpy()
         before = (env.get_state(), shown_here.copy()) if self._own_reward else None
-        _, reward, terminated, truncated, info = env.step(answer.actions, shown_here)
+        _, reward, terminated, truncated, info = taken = env.step(answer.actions, shown_here)
         self.begins[where] = ended = terminated | truncated
         if self._own_reward and before:
-            step = whole_step(env, before, answer, shown_here, reward, terminated, ended, info)
-            reward = paid(self._own_reward, step)
+            reward = paid(self._own_reward, whole_step(env, before, answer, taken))
         if self.sampler is not None and not self._repeats and ended.any():
             self._begin(self.sampler, group, ended)
         cut = None
