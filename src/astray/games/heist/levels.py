@@ -77,14 +77,9 @@ def shut_doors(s, inside, doors):
 @shared
 def place_thief(s, inside):
     """Take a free cell that is not next to a door; return its number."""
-    size, count = inside.shape[0], 0
-    cells = np.empty(size * size, np.int64)
-    for cell in range(size * size):
-        if inside[cell // size, cell % size] == EMPTY:
-            cells[count] = cell
-            count += 1
+    size, cells = inside.shape[0], np.flatnonzero(inside == EMPTY)
     while True:  # never for ever: the ends of a maze are not beside its forks
-        cell = cells[pick(s, count)]
+        cell = cells[pick(s, cells.size)]
         if beside(inside, cell % size, cell // size, SHUT) == 0:
             inside[cell // size, cell % size] = TAKEN
             return cell
@@ -104,18 +99,12 @@ def furnish_room(s, inside, room, stage, doors, gem_first):
     """
     size = inside.shape[0]
     door = explore(inside, room, stage)
-    wanted = stage
-    if stage == doors and gem_first:
-        wanted = 0
-        while count_free(inside, room, wanted) == 0:
-            wanted += 1
-    nth = pick(s, count_free(inside, room, wanted))
-    for cell in range(size * size):
-        x, y = cell % size, cell // size
-        if room[y, x] == wanted and inside[y, x] == EMPTY:
-            if nth == 0:
-                inside[y, x] = GEM if stage == doors else KEY + stage
-            nth -= 1
+    free = np.flatnonzero(inside == EMPTY)
+    rooms = room.reshape(-1)[free]
+    at_begin = stage == doors and gem_first  # after the last door, all cells are in a room
+    free = free[rooms == (rooms.min() if at_begin else stage)]
+    cell = free[pick(s, free.size)]
+    inside[cell // size, cell % size] = GEM if stage == doors else KEY + stage
     if stage < doors:
         inside[door // size, door % size] = DOOR_CODE + stage
         room[door // size, door % size] = stage
@@ -130,11 +119,9 @@ def explore(inside, room, stage):
     size = inside.shape[0]
     steps = np.full(size * size, UNSEEN)
     queue = np.empty(size * size, np.int64)
-    after, first = 0, 0
-    for cell in range(size * size):
-        if room[cell // size, cell % size] != UNSEEN:
-            steps[cell], queue[after] = 0, cell
-            after += 1
+    known = np.flatnonzero(room != UNSEEN)
+    after, first = known.size, 0
+    steps[known], queue[:after] = 0, known
     while first < after:
         cell = queue[first]
         first += 1
@@ -154,16 +141,6 @@ def explore(inside, room, stage):
                 if inner and inside[y, x] == SHUT and steps[cell] < nearest:
                     door, nearest = y * size + x, steps[cell]
     return door
-
-
-@shared
-def count_free(inside, room, stage):
-    """Count the empty cells of a room."""
-    size, count = inside.shape[0], 0
-    for y in range(size):
-        for x in range(size):
-            count += room[y, x] == stage and inside[y, x] == EMPTY
-    return count
 
 
 @shared

@@ -57,13 +57,8 @@ def place(s, inside, groups, p):
     for k in range(chosen.size):
         cell = chosen[k]
         inside[cell // size, cell % size] = CHEST if k < groups * p.chests else KEY
-    count = 0
-    for y in range(size):
-        for x in range(size):
-            if inside[y, x] == EMPTY:
-                cells[count] = y * size + x
-                count += 1
-    return cells[pick(s, count)]
+    free = np.flatnonzero(inside == EMPTY)
+    return free[pick(s, free.size)]
 
 
 @shared

@@ -49,25 +49,11 @@ def foreground(s, art, scene, image):
     left, top = show(s, scene, image)
     height = cells - edge - 0.5  # cells from the scene's top to the centre of cell y = 0
     if s.other_x != NEVER:
-        stamp(
-            image,
-            objects[s.other_shape, s.other_colour],
-            scale,
-            top,
-            left,
-            height - s.other_y,
-            edge + s.other_x + 0.5,
-        )
+        other = objects[s.other_shape, s.other_colour]
+        stamp(image, other, scale, top, left, height - s.other_y, edge + s.other_x + 0.5)
     if s.goal_x != NEVER and s.reached_goal == NEVER:
-        stamp(
-            image,
-            objects[s.goal_shape, s.goal_colour],
-            scale,
-            top,
-            left,
-            height - s.goal_y,
-            edge + s.goal_x + 0.5,
-        )
+        goal = objects[s.goal_shape, s.goal_colour]
+        stamp(image, goal, scale, top, left, height - s.goal_y, edge + s.goal_x + 0.5)
     facing = mouse[1] if s.faces_right else mouse[0]
     stamp(image, facing, scale, top, left, height - s.y + 0.5, edge + s.x)
 

@@ -95,16 +95,8 @@ def place_goal(s, p, size, free, free_x, free_y):
             return goal
     if p.strict:
         return NEVER
-    inside = 0
-    for k in range(free):
-        inside += is_inside(k, edge, free_x, free_y)
-    pick = below(s, inside)  # never 0 cells: the upper right one is a node
-    for k in range(free):
-        if is_inside(k, edge, free_x, free_y):
-            if pick == 0:
-                return k
-            pick -= 1
-    return NEVER
+    inside = [k for k in range(free) if is_inside(k, edge, free_x, free_y)]
+    return inside[below(s, len(inside))]  # never 0 cells: the upper right one is a node
 
 
 @kernel

@@ -103,10 +103,8 @@ def upper_right(s):
     """Return the last column and the highest row of a maze, which may be anywhere in the world."""
     x, y = s.corner_x, s.corner_y
     if x == NEVER:  # there is wall
-        for row in range(s.world):
-            for column in range(s.world):
-                if s.cell[row, column] != WALL:
-                    x, y = max(x, column), row
+        free = np.argwhere(s.cell[: s.world, : s.world] != WALL)
+        x, y = free[:, 1].max(), free[-1, 0]
     return x, y
 
 
@@ -174,16 +172,11 @@ def is_whole(s):
 @kernel
 def free_cell(s, left, low):
     """Draw an empty cell that the mouse can reach, from `left` and `low` on; or NEVER, NEVER."""
-    steps = distances(s.cell[: s.world, : s.world] != WALL, int(s.x), int(s.y))
-    count = 0
-    for y in range(max(low, 0), s.world):
-        for x in range(max(left, 0), s.world):
-            count += steps[y, x] > 0 and s.cell[y, x] == EMPTY  # 0: where the mouse is
-    pick = below(s, count) if count > 0 else 0
-    for y in range(max(low, 0), s.world):
-        for x in range(max(left, 0), s.world):
-            if steps[y, x] > 0 and s.cell[y, x] == EMPTY:
-                if pick == 0:
-                    return x, y
-                pick -= 1
-    return NEVER, NEVER
+    cells, left, low = s.cell[: s.world, : s.world], max(left, 0), max(low, 0)
+    steps = distances(cells != WALL, int(s.x), int(s.y))
+    free = np.argwhere((steps > 0) & (cells == EMPTY))  # 0: where the mouse is
+    free = free[(free[:, 0] >= low) & (free[:, 1] >= left)]
+    if len(free) == 0:
+        return NEVER, NEVER
+    k = below(s, len(free))
+    return free[k, 1], free[k, 0]
