@@ -11,7 +11,7 @@ from typing import Annotated
 from astray import grid
 from astray.game import Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
-from astray.grid.rules import clear, state, walk
+from astray.grid.rules import EMPTY, clear, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
@@ -41,9 +41,8 @@ def generate(s, p):
     """Put the agent into a random cell of the left bank, the goal into one of the right bank."""
     clear(s)
     furnish(s, p)
-    for y in range(SIDE):
-        for x in range(BANK, SIDE - BANK):
-            s.cell[y, x] = LAVA * (y < p.gap or y > p.gap + 1)
+    s.cell[:, BANK : SIDE - BANK] = LAVA
+    s.cell[p.gap : p.gap + 2, BANK : SIDE - BANK] = EMPTY
     s.x, s.y = below(s, BANK), below(s, SIDE)
     goal = below(s, BANK * SIDE)
     s.cell[goal // BANK, SIDE - BANK + goal % BANK] = GOAL

@@ -14,12 +14,10 @@ from astray.games.coinrun.rules import (
     LAVA_TOP,
     NOTHING,
     PERMEABLE,
-    PUFFS,
     SAW,
     STROLL,
     TALL,
     TOP,
-    WALKERS,
     WALL,
     WORLD,
     F,
@@ -75,17 +73,11 @@ def generate(s, p):
 @shared
 def clear(s):
     """Make an empty closed world with the runner in its lower left corner."""
-    for y in range(WORLD):
-        for x in range(WORLD):
-            s.cell[y, x], s.thing[y, x], s.detail[y, x] = EMPTY, NOTHING, 0
-            if y == 0:
-                s.cell[y, x] = TOP
-            if x == 0 or x == WORLD - 1 or y == WORLD - 1:
-                s.cell[y, x] = WALL
-    for k in range(WALKERS):
-        s.walker_x[k], s.walker_y[k], s.walker_vx[k], s.walker_look[k] = 0, 0, 0, 0
-        for age in range(PUFFS):
-            s.trail_x[k, age] = 0
+    s.cell[:], s.thing[:], s.detail[:] = EMPTY, NOTHING, 0
+    s.cell[0] = TOP
+    s.cell[:, 0], s.cell[:, WORLD - 1], s.cell[WORLD - 1] = WALL, WALL, WALL
+    s.walker_x[:], s.walker_y[:], s.walker_vx[:], s.walker_look[:] = 0, 0, 0, 0
+    s.trail_x[:] = 0
     s.x, s.y = F(1) + HALF, F(1) + TALL
     s.vx, s.vy, s.on_crate, s.faces_left, s.pose = 0, 0, False, False, 0
     s.walkers, s.coin_x, s.coin_y = 0, NEVER, NEVER
@@ -131,10 +123,8 @@ def build_sections(s, p, in_pit):
 @kernel
 def fill_ground(s, x, y, width):
     """Fill solid ground with its surface at height `y`."""
-    for column in range(x, x + width):
-        for row in range(y - 1):
-            s.cell[row, column] = WALL
-        s.cell[y - 1, column] = TOP
+    s.cell[: y - 1, x : x + width] = WALL
+    s.cell[y - 1, x : x + width] = TOP
 
 
 @shared
@@ -152,8 +142,7 @@ def add_walker(s, x, y, left, look):
     s.walker_x[k], s.walker_y[k] = F(x) + HALF, F(y) + HALF
     s.walker_vx[k] = -STROLL if left else STROLL
     s.walker_look[k] = look
-    for age in range(PUFFS):
-        s.trail_x[k, age] = s.walker_x[k]
+    s.trail_x[k] = s.walker_x[k]
     s.detail[y, x] = look
     s.walkers = k + 1
 
@@ -169,25 +158,20 @@ def build_pit(s, p, x, y, width, danger, in_pit):
     else:
         fill_ground(s, x, y, left)
         fill_ground(s, x + left + wide, y, right)
-        for k in range(x + left, x + left + wide):
-            in_pit[k] = True
+        in_pit[x + left : x + left + wide] = True
     x += left
     if danger == 0 and p.hazards:
-        for column in range(x, x + wide):
-            for row in range(1, deep):
-                s.cell[row, column] = LAVA
-            s.cell[deep, column] = LAVA_TOP
+        s.cell[1:deep, x : x + wide] = LAVA
+        s.cell[deep, x : x + wide] = LAVA_TOP
     elif danger == 1 and p.hazards:
-        for column in range(x, x + wide):
-            s.thing[1, column] = SAW
+        s.thing[1, x : x + wide] = SAW
     elif danger == 2:
         for k in range(wide):
             put_walker(s, p, x + k, np.int64(1))
     if wide > 4:
         gap = 1 + (wide > 5) + word(s) % 2
         platform = wide - gap - (2 + word(s) % 2) if wide == 7 else 1 + word(s) % 2
-        for column in range(x + gap, x + gap + platform):
-            s.cell[y - 1, column] = TOP
+        s.cell[y - 1, x + gap : x + gap + platform] = TOP
 
 
 @shared
@@ -223,9 +207,8 @@ def finish(s, permeable):
     s.cell[y, x] = EMPTY
     fill_ground(s, x, y, 1)
     s.permeable = min(permeable, WORLD - 1 - x)
-    for column in range(x + 1, x + 1 + s.permeable if permeable else WORLD):
-        for row in range(WORLD):
-            s.cell[row, column] = PERMEABLE if permeable else WALL
+    after = x + 1 + s.permeable if permeable else WORLD
+    s.cell[:, x + 1 : after] = PERMEABLE if permeable else WALL
 
 
 @kernel

@@ -69,8 +69,7 @@ def foreground_planes(s, scene, planes):
     for k in range(s.objects):
         if s.gone[k] == s.time:
             x, y = edge + int(s.object_x[k]), edge + int(s.object_y[k])
-            for plane in range(PLANES):  # nothing else is in an object's cell
-                scene[plane, y, x] = 0
+            scene[:, y, x] = 0  # nothing else is in an object's cell
     left, low = show_planes(s, scene, planes)
     mark_thief(s, planes, left, low, THIEF_PLANE, X_PLANE, Y_PLANE)
     for k in range(len(COLOURS)):
