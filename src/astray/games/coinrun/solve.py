@@ -12,7 +12,6 @@ from astray.games.coinrun.reach import explore
 from astray.games.coinrun.rules import (
     COIN,
     EMPTY,
-    HALF,
     INVISIBLE,
     NOTHING,
     REWARD,
@@ -111,9 +110,7 @@ def plan(s: Any, goal: str) -> np.ndarray:
 
 def _where(s: Any, goal: str) -> Any:
     """Return a copy [1] of `s` to search in, with coins only if they are the goal."""
-    copy: Any = np.zeros(1, s.dtype)
-    copy[0] = s
-    states = copy.view(np.recarray)
+    states: Any = np.array([s], s.dtype).view(np.recarray)
     if goal != "coin":
         states.cell[states.cell == COIN] = EMPTY
     return states
@@ -125,9 +122,7 @@ def reachable(s: Any) -> np.ndarray:
     Cells that hold a standing or walking thing count as reachable.
     """
     check(s)
-    copy: Any = np.zeros(1, s.dtype)
-    copy[0] = s
-    touched = all_touched(copy.view(np.recarray))
+    touched = all_touched(np.array([s], s.dtype).view(np.recarray))
     touched |= (s.thing != NOTHING) | (s.cell == INVISIBLE)
     for k in range(s.walkers):
         touched[int(s.walker_y[k]), int(s.walker_x[k])] = True
@@ -172,11 +167,7 @@ def search(states, goal, left):
     targets = columns(s, goal)
     begin, seen = s.time, np.zeros(SLOTS, np.int64)
     motions = empty_motions(s, NODES)
-    when, parent, how = (
-        np.zeros(NODES, np.int64),
-        np.zeros(NODES, np.int64),
-        np.zeros(NODES, np.int64),
-    )
+    when, parent, how = np.zeros((3, NODES), np.int64)
     # Nodes wait in lists, one for each cost in steps: the first of a list, and the one after.
     first, after = np.full(left + 8 * WORLD, -1), np.full(NODES, -1)
     note_motion(s, motions[0])
@@ -251,14 +242,7 @@ def has_reached(s, goal):
 def columns(s, goal):
     """Return the possible columns of the goal, in cells to the right."""
     if goal == COIN_GOAL:
-        found = np.empty(WORLD * WORLD, np.float32)
-        count = 0
-        for y in range(WORLD):
-            for x in range(WORLD):
-                if s.cell[y, x] == COIN:
-                    found[count] = F(x) + HALF
-                    count += 1
-        return found[:count].copy()
+        return (np.argwhere(s.cell == COIN)[:, 1] + 0.5).astype(np.float32)
     far = s.end_x + 1.5 + s.permeable if goal == BEYOND_GOAL else s.end_x + 0.5
     return np.full(1, F(far))
 

@@ -119,9 +119,8 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
     """
     finite("gamma", gamma, 0, 1)
     check(s)
-    now = np.zeros(1, STATE)
-    now[0] = s
-    time = walk(now[0], steps_to(s, goal), GOALS[goal] == "reached_gem")
+    now = np.array([s], STATE)[0]
+    time = walk(now, steps_to(s, goal), GOALS[goal] == "reached_gem")
     is_over = s[GOALS[goal]] != NEVER or time == UNREACHABLE
     return 0.0 if is_over else REWARD * gamma ** (int(time - s.time) - 1)
 

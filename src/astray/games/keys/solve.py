@@ -204,7 +204,7 @@ class Planner:
             return []
         objects = np.array(chosen)
         fields = np.stack([self._field(now, k) for k in chosen])
-        times, met = tables(copied(now), objects, fields)
+        times, met = tables(np.array([now], STATE)[0], objects, fields)
         needed = min(now.keys, now.chests) - now.opened
         worth = (1.0, 0.0, 0.0)
         if self.goal == "chests":
@@ -232,13 +232,6 @@ def _nearest(now: Any, there: list[int], away: dict[int, int]) -> list[int]:
     return sorted(keys + chests[: EXACT - len(keys)])
 
 
-def copied(s: Any) -> Any:
-    """Return an independent copy of `s`."""
-    copy = np.zeros(1, STATE)
-    copy[0] = s
-    return copy[0]
-
-
 def expert(s: Any, goal: str) -> Callable[[Any], int]:
     """Return a policy that reaches `goal` by the best order of objects, then stays.
 
@@ -264,7 +257,7 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
 
 def _played(s: Any, goal: str, gamma: float, plan: float) -> float:
     """Return the return, discounted by `gamma`, of the best order for the discount `plan`."""
-    planner, now, total = Planner(s, goal, plan), copied(s), 0.0
+    planner, now, total = Planner(s, goal, plan), np.array([s], STATE)[0], 0.0
     while (steps := planner.steps(now)) is not None:
         weight = gamma ** int(now.time - s.time)
         rewards, keys = leg(now, steps, gamma, int(now.time_limit))
