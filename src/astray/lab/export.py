@@ -218,7 +218,7 @@ def _draws(twister, level, words, at):
 def _write_own_levels(
     config: Config, name: str, told: dict[str, Any], folder: Path, count: int
 ) -> None:
-    """Write the levels of an agent whose variants have other knobs; return their paths."""
+    """Write the levels of an agent whose variants have other knobs, and their paths to `told`."""
     game = config.find_game()
     told["levels"] = {}
     for variant in (name for name in told["variants"] if name in told["knobs"]):

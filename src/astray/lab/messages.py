@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
-from astray.validation import MOST, bounded, of_kind, one_of, shown
+from astray.validation import MOST, bounded, check_words, of_kind, shown
 
 LARGEST = 2**18  # characters of a message; a level of CoinRun as JSON has some 20,000
 LONGEST = 2000  # steps of an episode that a page plays
@@ -56,20 +56,15 @@ class Message:
 
     def __post_init__(self) -> None:
         bounded("id", self.id, 0, 2**53)
-        one_of("kind", self.kind, Kind)
-        one_of("mode", self.mode, Mode)
-        one_of("method", self.method, Method)
+        check_words(self)
         for name in ("game", "variant", "agent", "thing", "goal", "layer", "slot"):
-            text = getattr(self, name)
-            of_kind(name, text, str)
-            if len(text) > NAME:
+            if len(text := getattr(self, name)) > NAME:
                 raise ValueError(f"{name} must be at most {NAME} characters; got {shown(text)}")
         of_kind("knobs", self.knobs, Mapping)
         of_kind("steering", self.steering, Mapping)
         of_kind("level", self.level, int | str | Mapping)
         if isinstance(self.level, bool):
             raise ValueError(f"level must be a number, a drawing or an object; got {self.level}")
-        of_kind("effects", self.effects, bool)
         bounded("seed", self.seed, 0, MOST)
         bounded("steps", self.steps, 0, LONGEST)
         bounded("draws", self.draws, 1, MOST_DRAWS)

@@ -231,16 +231,14 @@ def attribution(session: Session, message: Message) -> Iterator[Reply]:
 
 
 def view(session: Session, message: Message) -> Iterator[Reply]:
-    """Answer with the agent's observation, planes or a base64 image, and a picture of it."""
+    """Answer with the planes that the agent sees, or with a base64 picture of its image."""
     agent, (seen,) = _seen(session, message)
     episode = session.episode(message)
     if agent.observation == "symbolic":
-        planes = episode.world.game.symbols.planes(episode.world.variant)
-        yield {"planes": seen.tolist(), "largest": planes.max((1, 2)).tolist()}
+        yield {"planes": seen.tolist()}
         return
     shown = picture(episode.world.game, episode.world.variant, episode.state, VIEW, agent.art)[0]
     yield {
-        "image": base64.b64encode(seen.tobytes()).decode(),
         "side": seen.shape[0],
         "picture": base64.b64encode(shown.tobytes()).decode(),
         "pixels": VIEW,

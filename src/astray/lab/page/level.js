@@ -1,5 +1,12 @@
 // Levels as data.
 
+// The cells [x, y] of a grid that hold a code, row by row.
+export function cellsOf(grid, code) {
+  const found = [];
+  grid.forEach((row, y) => row.forEach((what, x) => what === code && found.push([x, y])));
+  return found;
+}
+
 // The fields of a level that it is built from.
 export function plain(level) {
   const { grid, agent, looks } = exact(level);

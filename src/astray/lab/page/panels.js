@@ -5,7 +5,7 @@ import { goalColours, heat, signed, words } from "./draw/colours.js";
 import { meanWay, rateOfWays } from "./draw/arrows.js";
 import { drawSight } from "./draw/sight.js";
 import { save } from "./files.js";
-import { plain, shiftOf } from "./level.js";
+import { cellsOf, plain, shiftOf } from "./level.js";
 import { bar, capital, fillTable, keyed, made, named, options, percent, round } from "./parts.js";
 import { levels } from "./rules/constants.js";
 import { showTimeline } from "./timeline.js";
@@ -248,10 +248,7 @@ export class Panels {
     const { lab, part } = this;
     const [found, kinds] = [[], []];
     for (const name of this.#objects()) {
-      const cells = [];
-      lab.level.grid.forEach((row, y) => row.forEach((code, x) => {
-        if (code === lab.rules.legend[lab.rules.objects[name]]) cells.push([x, y]);
-      }));
+      const cells = cellsOf(lab.level.grid, lab.rules.legend[lab.rules.objects[name]]);
       if (cells.length) kinds.push(`${cells.length > 1 ? "any" : "the"} ${named(lab, name)}`);
       for (const cell of cells.slice(0, 12)) {
         found.push([`${name}@${cell}`, named(lab, name) + (cells.length > 1 ? ` at (${cell.join(", ")})` : "")]);

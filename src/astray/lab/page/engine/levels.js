@@ -1,7 +1,6 @@
 // Levels as `astray.level` has them: drawn as text, and one for every place of a thing.
 
-import { carried } from "../level.js";
-import { cellsOf } from "../rules/common.js";
+import { carried, cellsOf } from "../level.js";
 import { coinrun } from "../rules/constants.js";
 
 const { WORLD, EMPTY, WALL, TOP, PERMEABLE, SAW_HERE, WALKER_LEFT, SAW_AND_LEFT } = coinrun;

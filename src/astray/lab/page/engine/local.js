@@ -235,7 +235,7 @@ export class LocalEngine {
   async *view(message) {
     const { rules, s } = await this.at(message);
     const { shape, data } = rules.planes(s);
-    yield { planes: nested(data, shape), largest: null };
+    yield { planes: nested(data, shape) };
   }
 
   async *attribution(message) {

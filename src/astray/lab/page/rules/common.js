@@ -2,11 +2,13 @@
 // All constants are Python's: `astray.lab.constants` writes the module that has them. So are the
 // step of each game and what an agent sees: `astray.lab.rules` writes rules/NAME-kernels.js.
 
+import { cellsOf } from "../level.js";
 import { common } from "./constants.js";
 import { distances } from "./kernels.js";
 import { fieldOf } from "./memory.js";
 
 export const { NEVER, WALL } = common;
+export { cellsOf };
 const EMPTY = "."; // in every game's drawings
 
 // Throws where no episode can begin in a level, in the words of Python's `Level`.
@@ -70,13 +72,6 @@ export function rulesOf(game, { build, contents, open, planes, reach }) {
     }),
     centre: (s) => [s.x + game.offset, s.y + game.offset],
   };
-}
-
-// The cells [x, y] of a grid that hold a code, row by row.
-export function cellsOf(grid, code) {
-  const found = [];
-  grid.forEach((row, y) => row.forEach((what, x) => what === code && found.push([x, y])));
-  return found;
 }
 
 const blank = (planes, side) =>
