@@ -4,7 +4,6 @@ The policy "sampled" stands for the agents: as in the original, actions are samp
 """
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from astray.analysis.outcomes import (
     reached,
 )
 from astray.analysis.policies import Walk
-from astray.experiments.spec import SPREADS, Plan, Test, Work, open_agents
+from astray.experiments.spec import SPREADS, Plan, Runs, Test, Work, open_agents
 from astray.experiments.videos import write_pair
 from astray.figures import charts
 from astray.published.curves import beside
@@ -84,9 +83,13 @@ def of(work: Work, test: str, agent: str) -> pl.DataFrame:
     return work.episodes.filter(policy=AGENTS, test=test, agent=agent)
 
 
-def first(work: Work, test: str, agent: str, outcome: str) -> np.ndarray:
-    """Return whether an outcome occurred, [agents, levels], in a test's distinguishing levels."""
-    return matrix(of(work, test, agent).filter("distinguishing"), pl.col("outcome") == outcome)
+def first(work: Work, test: str, outcome: str) -> dict[str, np.ndarray]:
+    """Return whether an outcome occurred in a test's distinguishing levels.
+
+    It is [agents, levels] for the agents of each name.
+    """
+    apart = {name: of(work, test, name).filter("distinguishing") for name in work.plan.agents}
+    return {name: matrix(part, pl.col("outcome") == outcome) for name, part in apart.items()}
 
 
 def findings(work: Work) -> Findings:
@@ -150,7 +153,7 @@ def findings_of(
     agent: str | None = None,
     told: Mapping[str, str] | None = None,
 ) -> Findings:
-    """Return findings with the usual tables, plots and videos, of the plan's first two tests.
+    """Return findings with the usual tables, plots and `videos`.
 
     Args:
         plots: Further plots.
@@ -158,11 +161,10 @@ def findings_of(
         agent: Name of the agents in the videos; None for the first ones.
         told: Further settings.
     """
-    trained, tested, *_ = work.plan.tests.values()
     usual = [table for table in outcome_tables(work) if not table.frame.is_empty()]
     shown, more = [], {"videos": f"none: {STREAMS}"} if of_streams(work.plan) else {}
     try:
-        shown = [] if more else videos(work, trained=trained, tested=tested, agent=agent)
+        shown = [] if more else videos(work, agent=agent)
     except (Failed, Silent) as error:  # an environment may fail to render, at any step
         more = {"videos": f"none: {brief(error)}"}
     return Findings(
@@ -229,16 +231,16 @@ def _who_and_where(plan: Plan, table: pl.DataFrame) -> pl.DataFrame:
             who=pl.coalesce("agent", "policy").replace(order), where=pl.col("test").replace(where)
         )
         .sort(
-            pl.col("where").replace_strict(list(where.values()), range(len(where))),
-            pl.col("who").replace_strict(list(order.values()), range(len(order))),
+            pl.col("where").cast(pl.Enum([*where.values()])),
+            pl.col("who").cast(pl.Enum([*order.values()])),
             maintain_order=True,
         )
         .select("who", "where", "outcome", "mean", "low", "high")
     )
 
 
-def curves(work: Work | Mapping[str, Sequence[Path]]) -> pl.DataFrame:
-    """Return the metrics of a work's trainings, or of run folders by agent name.
+def curves(trained: Runs) -> pl.DataFrame:
+    """Return the metrics of trainings.
 
     Columns: agent (name), seed, steps, and the metrics.
 
@@ -246,7 +248,6 @@ def curves(work: Work | Mapping[str, Sequence[Path]]) -> pl.DataFrame:
     ones have ended.
     """
     tables = []
-    trained = work.runs if isinstance(work, Work) else work
     for name, runs in trained.items():
         for run in runs:
             config = read_config(run)
@@ -277,25 +278,25 @@ def fair(table: pl.DataFrame, config: Config) -> dict[str, pl.Expr]:
 
 
 def curve_plot(
-    work: Work | Mapping[str, Sequence[Path]],
+    work: Work | Runs,
     metric: str = "return",
     label: str = "return",
     caption: str = "Mean return of recent episodes while training.",
 ) -> Plot:
     """Plot a metric of recent episodes during training, on both variants, per agent name."""
-    data = curves(work)
+    trained = work.runs if isinstance(work, Work) else work
+    data = curves(trained)
     series = {f"training/{metric}": "training variant", f"validation/{metric}": "test variant"}
     there = {column: name for column, name in series.items() if column in data.columns}
     name = "curves" if metric == "return" else f"curves-{metric.replace('_', '-')}"
-    others = published_curves(work, data) if metric == "return" else None
+    others = published_curves(trained, data) if metric == "return" else None
     if others is not None and len(others):
         caption += " Dashed: training returns of the paper's own program, from its public logs."
     return Plot(name, caption, learning_curves(data, there, label, others), data)
 
 
-def published_curves(work: Work | Mapping[str, Sequence[Path]], data: pl.DataFrame) -> pl.DataFrame:
+def published_curves(trained: Runs, data: pl.DataFrame) -> pl.DataFrame:
     """Return published curves of the worlds that agents were trained in, by agent name."""
-    trained = work.runs if isinstance(work, Work) else work
     last = dict(data.group_by("agent").agg(pl.col("steps").max()).iter_rows())
     return pl.concat(
         beside(read_config(runs[0]), last.get(name, 0)).with_columns(agent=pl.lit(name))
@@ -325,17 +326,26 @@ def settings(plan: Plan) -> dict[str, str]:
     }
 
 
-def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -> list[Video]:
+def videos(work: Work, *, trained: Test | None = None, agent: str | None = None) -> list[Video]:
     """Show an agent in a training level and the test level of that number, for each outcome.
 
     The most common outcome comes first. Each shows the first distinguishing level whose way to the
     proxy (or else to the intended goal) is longer than in most levels, or else the first of all.
+
+    Args:
+        trained: Test that is shown as the training, with the plan's first test. None for the plan's
+            first two tests; if it has one alone, for the variant that the agent was trained on.
+        agent: Name of the agents; None for the first ones.
     """
     plan = work.plan
     name = agent or next(iter(work.runs))
     player = open_agents(plan, {name: work.runs[name][:1]})[name][0]
+    first, *others = plan.tests
+    where = others[0] if others and trained is None else first
+    tested = plan.tests[where]
+    if trained is None:
+        trained = plan.tests[first] if others else Test(plan.agents[name].variant, tested.shift)
     game, shift = plan.game, load_shift(plan.game, tested.shift)
-    where = next(key for key, test in plan.tests.items() if test == tested)
     apart, which = work.episodes.filter("distinguishing", test=where), "levels"
     if plan.own and apart.is_empty():
         apart = work.episodes.filter(test=where)

@@ -91,7 +91,7 @@ def find(work: Work) -> Findings:
                 estimate_paired(astray[NEVER], failed),
             ),
         ],
-        videos=outcomes.videos(work, trained=BLIND[where], tested=TESTS[where], agent=NEVER),
+        videos=outcomes.videos(work, trained=BLIND[where], agent=NEVER),
         plots=[
             Plot(
                 "diversity",
@@ -111,7 +111,7 @@ def find(work: Work) -> Findings:
                 draw(table.filter(levels_counted=MISSED)),
                 table,
             ),
-            outcomes.curve_plot(replace(work, runs={NEVER: work.runs[NEVER]})),
+            outcomes.curve_plot({NEVER: work.runs[NEVER]}),
         ],
         tables=[
             Table("diversity", "Failures against the fraction of random coins", table),

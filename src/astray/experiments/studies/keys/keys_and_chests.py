@@ -77,7 +77,7 @@ def find(work: Work) -> Findings:
                 told=Estimate.change,
             ),
         ],
-        videos=outcomes.videos(work, trained=work.plan.tests[train], tested=work.plan.tests[test]),
+        videos=outcomes.videos(work),
         plots=[
             hoarding.plot(work, hoards),
             *outcomes.outcome_plots(work, (in_tests[0], in_tests[1])),

@@ -77,7 +77,7 @@ def find(work: Work) -> Findings:
             ),
             near_codes(work, pairs) if symbolic else flips(agents),
         ],
-        videos=outcomes.videos(work, trained=work.plan.tests[train], tested=work.plan.tests[test]),
+        videos=outcomes.videos(work),
         plots=[
             Plot(
                 "pairs",

@@ -12,7 +12,7 @@ from astray.analysis.outcomes import MISGENERALIZED, OUTCOMES, matrix
 from astray.analysis.policies import Walk
 from astray.experiments import outcomes
 from astray.experiments.outcomes import of
-from astray.experiments.spec import Experiment, Plan, Test, Work, tests_of
+from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.experiments.studies.maze import maze_corner
 from astray.figures import charts
 from astray.games.maze.rules import REWARD
@@ -28,12 +28,12 @@ LAST = 10  # the part of a training's iterations that its end is: the last tenth
 
 def find(work: Work) -> Findings:
     """Measure how often mice reach the cheese, and what they reach first, by region."""
-    ((test, tested),) = work.plan.tests.items()
+    (test,) = work.plan.tests
     regions = {name: region(config) for name, config in work.plan.agents.items()}
     smallest, *_, largest = regions
     middle = list(regions)[(len(regions) - 1) // 2]
     success = {name: matrix(of(work, test, name), REACHED) for name in regions}
-    corner = {name: outcomes.first(work, test, name, MISGENERALIZED) for name in regions}
+    corner = outcomes.first(work, test, MISGENERALIZED)
     shown = pl.concat([success_table(work, regions), at_end_of_training(work, regions)])
     first = first_table(work, regions)
     sides = {name: f"{side} x {side} cells" for name, side in regions.items()}
@@ -70,12 +70,7 @@ def find(work: Work) -> Findings:
                 estimate_difference(corner[middle], corner[largest], pool=list(corner.values())),
             ),
         ],
-        videos=outcomes.videos(
-            work,
-            trained=Test(work.plan.agents[middle].variant, tested.shift),
-            tested=tested,
-            agent=middle,
-        ),
+        videos=outcomes.videos(work, agent=middle),
         plots=[
             Plot(
                 "regions",
@@ -103,26 +98,21 @@ def region(config: Config) -> int:
 def success_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
     """Return how often the cheese is reached: who, region (null: base rate), mean, low, high."""
     (test,) = work.plan.tests
-    rows = [
-        {"who": "where it is anywhere", "region": side}
-        | _rates(estimate_mean(matrix(of(work, test, name), REACHED)))
-        for name, side in regions.items()
-    ] + [
-        {"who": who, "region": None}
-        | _rates(estimate_mean(matrix(work.episodes.filter(policy=policy), REACHED)))
-        for policy, who in BASE_RATES.items()
-    ]
-    return pl.DataFrame(rows)
+    played = {("where it is anywhere", side): of(work, test, n) for n, side in regions.items()}
+    played |= {(who, None): work.episodes.filter(policy=n) for n, who in BASE_RATES.items()}
+    return pl.DataFrame(
+        {"who": who, "region": side} | _rates(estimate_mean(matrix(part, REACHED)))
+        for (who, side), part in played.items()
+    )
 
 
 def first_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
     """Return the rate of each outcome: outcome, region, mean, low, high."""
     (test,) = work.plan.tests
     return pl.DataFrame(
-        {"outcome": outcome, "region": side}
-        | _rates(estimate_mean(outcomes.first(work, test, name, outcome)))
+        {"outcome": outcome, "region": regions[name]} | _rates(estimate_mean(came))
         for outcome in OUTCOMES
-        for name, side in regions.items()
+        for name, came in outcomes.first(work, test, outcome).items()
     )
 
 
@@ -132,7 +122,7 @@ def _rates(estimate: Estimate) -> dict[str, float]:
 
 def at_end_of_training(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
     """Return a `success_table` of the episodes in the last tenth of training."""
-    curves, rows = outcomes.curves(work), []
+    curves, rows = outcomes.curves(work.runs), []
     for name, side in regions.items():
         seeds = curves.filter(agent=name).partition_by("seed")
         ends = [s.sort("steps")["training/return"].tail(-(-len(s) // LAST)).mean() for s in seeds]

@@ -82,13 +82,19 @@ def find(proxy: str, work: Work) -> Findings:
                 "misgeneralization",
                 f"Episodes that reach the {proxy} first, in distinguishing levels, "
                 "with 95\u00a0% intervals, the spread between agents pooled over all kinds.",
-                by_fraction_figure(table.filter(what=MISGENERALIZED), "fraction of episodes"),
+                over_fractions(
+                    table.filter(what=MISGENERALIZED),
+                    "fraction of episodes",
+                    whiskers=True,
+                    limits=(-0.02, 1.02),
+                    percent="y",
+                ),
                 table.filter(what=MISGENERALIZED),
             ),
             Plot(
                 "return",
                 "Mean return in the same levels; 10 is all there is.",
-                by_fraction_figure(table.filter(what="return"), "return"),
+                over_fractions(table.filter(what="return"), "return", whiskers=True),
                 table.filter(what="return"),
             ),
             Plot(
@@ -107,12 +113,7 @@ def find(proxy: str, work: Work) -> Findings:
                 buffers,
             ),
         ],
-        videos=outcomes.videos(
-            work,
-            trained=work.plan.tests[TRAINED],
-            tested=work.plan.tests[TESTED],
-            agent=name_of(DR, 0.0),
-        ),
+        videos=outcomes.videos(work, agent=name_of(DR, 0.0)),
         tables=[
             Table("by-fraction", "Distinguishing levels", table),
             Table("ceiling", "The goal in both kinds of levels", ceiling),
@@ -157,7 +158,7 @@ def against_training(work: Work) -> pl.DataFrame:
     Columns: method, fraction (null for the oracle and the larger buffer), training (rate), mean,
     low, high (rate in distinguishing levels).
     """
-    kinds = {name: outcomes.first(work, TESTED, name, INTENDED) for name in work.plan.agents}
+    kinds = outcomes.first(work, TESTED, INTENDED)
     named = {name_of(m, f): (m, f) for m in METHODS for f in (*FRACTIONS, *DOSES)}
     rows = []
     for name, came in kinds.items():
@@ -174,7 +175,7 @@ def against_training(work: Work) -> pl.DataFrame:
 
 def in_buffers(work: Work) -> pl.DataFrame:
     """Return columns method, fraction, seed, in_buffer (of its levels), amplified (ratio)."""
-    measured = outcomes.curves(work)
+    measured = outcomes.curves(work.runs)
     rows = []
     for method in METHODS:
         for fraction in FRACTIONS if METHODS[method] else ():
@@ -192,10 +193,7 @@ def in_buffers(work: Work) -> pl.DataFrame:
 
 def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
     """Return the claims of the paper's abstract, with bounds set before any run."""
-    wrong, right = (
-        {name: outcomes.first(work, TESTED, name, which) for name in work.plan.agents}
-        for which in (MISGENERALIZED, INTENDED)
-    )
+    wrong, right = (outcomes.first(work, TESTED, which) for which in (MISGENERALIZED, INTENDED))
     kinds = list(wrong.values())
 
     def often(method: str, fraction: float) -> Estimate:
@@ -255,12 +253,6 @@ def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
     ]  # fmt: skip
 
 
-def by_fraction_figure(table: pl.DataFrame, label: str) -> Figure:
-    """Plot a line for each method over the fractions, which are evenly spaced."""
-    told: dict[str, Any] = {} if label == "return" else {"limits": (-0.02, 1.02), "percent": "y"}
-    return _over_fractions(table, label, whiskers=True, **told)
-
-
 def ceiling_figure(table: pl.DataFrame) -> Figure:
     """Plot the goal in distinguishing levels against that in training's, a line a method."""
     return charts.curves(
@@ -276,10 +268,11 @@ def buffer_figure(buffers: pl.DataFrame) -> Figure:
     means = each.group_by("method", "fraction", maintain_order=True).agg(pl.col("mean").mean())
     new = pl.DataFrame({"method": DR, "fraction": FRACTIONS, "mean": FRACTIONS})
     every = pl.concat([new, each, means], how="diagonal_relaxed")  # methods have their colours
-    return _over_fractions(every, "fraction of the buffer's levels", each="seed", percent="y")
+    return over_fractions(every, "fraction of the buffer's levels", each="seed", percent="y")
 
 
-def _over_fractions(table: pl.DataFrame, label: str, **how: Any) -> Figure:
+def over_fractions(table: pl.DataFrame, label: str, **how: Any) -> Figure:
+    """Plot a line for each method over the fractions, which are evenly spaced."""
     named = pl.col("fraction").replace_strict(
         FRACTIONS, [f"{100 * fraction:g} %" for fraction in FRACTIONS]
     )

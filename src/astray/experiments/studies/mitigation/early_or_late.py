@@ -37,10 +37,7 @@ def paid(name: str) -> str:
 def find(work: Work) -> Findings:
     """Measure the goals of agents whose few distinguishing levels came at different times."""
     train, test = work.plan.tests
-    wrong, right = (
-        {name: outcomes.first(work, test, name, which) for name in work.plan.agents}
-        for which in (MISGENERALIZED, INTENDED)
-    )
+    wrong, right = (outcomes.first(work, test, which) for which in (MISGENERALIZED, INTENDED))
 
     def minus(one: str, other: str) -> Estimate:
         # They began with the same mice: these are pairs.
@@ -115,7 +112,7 @@ def find(work: Work) -> Findings:
 
 def dose(work: Work) -> pl.DataFrame:
     """Return columns agent, seed, levels (begun), shifted (of these), steps (in shifted ones)."""
-    measured = outcomes.curves(work).filter(pl.col("agent").is_in([*MIXED]))
+    measured = outcomes.curves(work.runs).filter(pl.col("agent").is_in([*MIXED]))
     last = measured.sort("steps").group_by("agent", "seed", maintain_order=True).last()
     names = {"levels": "begun", "shifted": "shifted", "steps": "shifted_steps"}
     counts = {to: pl.col(f"levels/{name}").cast(pl.Int64) for to, name in names.items()}

@@ -22,19 +22,18 @@ WHERE = "cheese anywhere"
 def find(work: Work) -> Findings:
     """Measure how often mice reach the cheese, and what those of the corner reach first."""
     found = {name: cheese(work, name) for name in (PLAIN, MEMORY)}
-    corner = {
-        name: outcomes.first(work, WHERE, name, MISGENERALIZED)
-        for name in (PLAIN_CORNER, MEMORY_CORNER)
-    }
-    tables = outcomes.outcome_tables(work)
+    corner = outcomes.first(work, WHERE, MISGENERALIZED)
     plain, memory = (rounded(estimate_mean(x).mean) for x in found.values())
-    before, after = (rounded(estimate_mean(x).mean) for x in corner.values())
-    return Findings(
-        answer=f"Where the cheese was anywhere in training, too, mice with memory reach it in "
+    before, after = (
+        rounded(estimate_mean(corner[name]).mean) for name in (PLAIN_CORNER, MEMORY_CORNER)
+    )
+    return outcomes.findings_of(
+        work,
+        f"Where the cheese was anywhere in training, too, mice with memory reach it in "
         f"{memory} of levels, and mice without in {plain}. Where it was in the corner, those with "
         f"memory go to the corner first in {after} of distinguishing levels, those without in "
         f"{before}.",
-        claims=[
+        [
             above(
                 f"With memory, a mouse reaches the cheese at least {TIMES} times as often.",
                 "none",
@@ -50,15 +49,8 @@ def find(work: Work) -> Findings:
                 ALIKE,
             ),
         ],
-        videos=outcomes.videos(
-            work,
-            trained=Test(work.plan.agents[MEMORY_CORNER].variant, work.plan.tests[WHERE].shift),
-            tested=work.plan.tests[WHERE],
-            agent=MEMORY_CORNER,
-        ),
-        plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
-        tables=tables,
-        settings=outcomes.settings(work.plan),
+        [outcomes.curve_plot(work)],
+        agent=MEMORY_CORNER,
     )
 
 

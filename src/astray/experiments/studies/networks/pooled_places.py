@@ -19,8 +19,7 @@ def find(work: Work) -> Findings:
     """Measure the goals of mice of both networks."""
     train, test = work.plan.tests
     corner, cheese, neither = (
-        {name: outcomes.first(work, test, name, outcome) for name in work.plan.agents}
-        for outcome in (MISGENERALIZED, INTENDED, FAILED)
+        outcomes.first(work, test, outcome) for outcome in (MISGENERALIZED, INTENDED, FAILED)
     )
     pooled = rate(work.episodes.filter(agent=POOLED), train, INTENDED)
     return outcomes.findings_of(

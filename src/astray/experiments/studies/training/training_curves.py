@@ -66,7 +66,7 @@ def find(work: Work) -> Findings:
 
 def returns(work: Work) -> pl.DataFrame:
     """Return the trainings' metrics: agent, seed, steps, and returns on both variants."""
-    measured = outcomes.curves(work)
+    measured = outcomes.curves(work.runs)
     missing = [pl.lit(None).alias(c) for c in SERIES.values() if c not in measured.columns]
     return measured.with_columns(missing).select(
         "agent",
