@@ -48,10 +48,9 @@ def find(work: Work) -> Findings:
     measured = pl.concat([measure_types(m, s, count) for m, s in settings.items()])
     table, called = summary(measured), call_agents(settings, count // 4)
     goals = inferred(settings)
-    order = pl.col("type").replace_strict(KINDS, range(len(KINDS)))
     factors = charts.points(
         table.with_columns(mean="log factor", measure=pl.format("the measure '{}'", "preset")).sort(
-            order, maintain_order=True
+            pl.col("type").cast(pl.Enum(KINDS)), maintain_order=True
         ),
         row="type", group="map", panel="measure", at={"": 0}, symlog=2,
         label="mean log Bayes factor, agents against devices (nats)",

@@ -206,8 +206,7 @@ def rises(table: pl.DataFrame) -> pl.DataFrame:
 
 def by_stage(rows: pl.DataFrame, value: str, by: list[str]) -> pl.DataFrame:
     """Return means of `value` by stage and `by`, in the order of STAGES."""
-    order = pl.col("stage").replace_strict(STAGES, range(len(STAGES)))
-    return group_means(rows, value, ["stage", *by]).sort(order, *by)
+    return group_means(rows, value, ["stage", *by]).sort(pl.col("stage").cast(pl.Enum(STAGES)), *by)
 
 
 def calibration(table: pl.DataFrame) -> pl.DataFrame:

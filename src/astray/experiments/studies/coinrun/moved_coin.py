@@ -48,19 +48,15 @@ BATCH = 128  # states of 17 kB are copied at every step
 def find(work: Work) -> Findings:
     """Compare visible and invisible coins in the same places of the same levels."""
     table = work.keep("episodes-by-place", lambda: episodes(work))
-    fates = group_rates(table, "fate", FATES, ["test"]).sort(
-        pl.col("test").replace_strict([*TESTS, NONE], range(len(TESTS) + 1), default=9),
-        maintain_order=True,
-    )
+    order = pl.Enum([*TESTS, NONE, RIGHT_AND_JUMP.name])
+    fates = group_rates(table, "fate", FATES, ["test"])
+    fates = fates.sort(pl.col("test").cast(order), maintain_order=True)
     pairs = paired(table)
-    gains = pl.concat(
-        [
-            group_means(
-                pairs.with_columns(by=pl.lit(by), group=pl.col(by)), "gain", ["by", "group"]
-            )
-            for by in ("all", "way", "part", "height")
-        ]
-    ).sort(pl.col("group").replace_strict(GROUPS, range(len(GROUPS))))
+    every = pairs.unpivot(
+        ["all", "way", "part", "height"], index=["agent", "level", "gain"],
+        variable_name="by", value_name="group",
+    )  # fmt: skip
+    gains = group_means(every, "gain", ["by", "group"]).sort(pl.col("group").cast(pl.Enum(GROUPS)))
     rate = {test: rate_of(table, test, TAKEN) for test in TESTS}
     past, script = rate_of(table, ANYWHERE, END), rate_of(table, RIGHT_AND_JUMP.name, TAKEN)
     gain, touched = mean_of(pairs, "gain"), mean_of(pairs, "touched")

@@ -47,11 +47,7 @@ def find(work: Work) -> Findings:
     fates = (
         group_rates(reached, "fate", FATES, ["test", "who"])
         .select("test", "who", "fate", "mean", "low", "high", "agents", "levels", "rows")
-        .sort(
-            pl.col("test").replace_strict(list(TESTS), range(len(TESTS))),
-            "who",
-            maintain_order=True,
-        )
+        .sort(pl.col("test").cast(pl.Enum([*TESTS])), "who", maintain_order=True)
     )
     table = work.keep("values", lambda: values(work))
     ways, peaks = approach(table), peak(table)
