@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import json
 import math
 import os
 import re
@@ -56,6 +57,15 @@ def of_numbers(name: str, given: Any) -> None:
 def plain(given: Any) -> Any:
     """Return a number or a truth value of NumPy's as Python's, and anything else as it is."""
     return given.item() if isinstance(given, np.generic) else given
+
+
+def read_value(text: str) -> Any:
+    """Return the number, truth value or null that a text says, or any other text as it is."""
+    try:
+        found = json.loads(text.lower())
+    except (ValueError, RecursionError):
+        return text
+    return text if isinstance(found, str | list | dict) else found
 
 
 def path_of(name: str, given: Any) -> Path:

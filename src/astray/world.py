@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import json
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -18,7 +17,7 @@ import numpy as np
 from astray import games, imports
 from astray.game import OWN, Game, Missing, Outcome, Shift, check_goals, check_names
 from astray.record import record_dtype
-from astray.validation import brief, finite, of_kind, of_numbers, one_of, plain, shown
+from astray.validation import brief, finite, of_kind, of_numbers, one_of, plain, read_value, shown
 
 Env = gymnasium.Env
 Happened = str | Callable[[Any, Mapping[str, Any]], Any]
@@ -138,9 +137,7 @@ def _texts(factory: Callable[..., Env]) -> set[str]:
 def _as_said(value: Any) -> Any:
     """Return the number, truth value or None that text or NumPy says, or else the value."""
     if isinstance(value, str):
-        with contextlib.suppress(ValueError, RecursionError):
-            read = json.loads("null" if value == "None" else value.lower())
-            return value if isinstance(read, str | list | dict) else read
+        return None if value == "None" else read_value(value)
     return plain(value)
 
 

@@ -16,10 +16,11 @@ from astray.experiments.sweep import report
 from astray.experiments.sweep import run as sweeping
 from astray.experiments.sweep.report import command
 from astray.experiments.sweep.run import run_sweep
-from astray.experiments.sweep.settings import Sweep, axes, value
+from astray.experiments.sweep.settings import Sweep, axes
 from astray.figures.grids import cells
 from astray.training.config import PRESETS, Config
 from astray.training.loop import train
+from astray.validation import read_value
 from astray.world import register
 from helpers.rooms import WORLD, walked
 from helpers.trainings import TINY
@@ -48,7 +49,7 @@ def test_texts_are_settings_and_their_values():
         "learning_rate": [1e-4, 5e-4], "variant.region": [1, 3], "anneal": [True, False],
         "variant": ["a", "b-1"],
     }  # fmt: skip
-    assert value("[" * 10**5) == "[" * 10**5
+    assert read_value("[" * 10**5) == "[" * 10**5
     read = axes(["map=1,true", "size=1"], {"map"})
     assert read == {"variant.map": ["1", "true"], "variant.size": [1]}
 

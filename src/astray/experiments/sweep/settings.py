@@ -1,7 +1,6 @@
 """The settings of a sweep, their values as text, and the plans of its combinations."""
 
 import itertools
-import json
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from astray.experiments.levels import check_tests
 from astray.experiments.spec import MOST_AGENTS, Plan, Test
 from astray.training.config import Config
 from astray.training.settings import KNOB, SEEDS, SHORT
-from astray.validation import bounded, one_of, shown
+from astray.validation import bounded, one_of, read_value, shown
 from astray.variant import knobs
 from astray.world import WorldVariant
 
@@ -114,17 +113,8 @@ def axes(texts: Sequence[str], as_text: Collection[str] = ()) -> dict[str, list[
                 f"a sweep must set NAME=VALUE,VALUE,... once for each name; got {text!r}"
             )
         is_text = name.removeprefix(KNOB) in as_text
-        found[name] = [part if is_text else value(part) for part in values.split(",")]
+        found[name] = [part if is_text else read_value(part) for part in values.split(",")]
     return found
-
-
-def value(text: str) -> Any:
-    """Parse a number or boolean; return any other text unchanged."""
-    try:
-        found = json.loads(text.lower())
-    except (ValueError, RecursionError):
-        return text
-    return text if isinstance(found, str | list | dict) else found
 
 
 def changed(base: Config, values: Mapping[str, Any]) -> Config:
@@ -140,7 +130,7 @@ def changed(base: Config, values: Mapping[str, Any]) -> Config:
     for word, given in values.items():
         name, knob = SHORT.get(word, word), word.removeprefix(KNOB)
         if name in known and name not in there:
-            settings[name] = value(given) if isinstance(given, str) else given
+            settings[name] = read_value(given) if isinstance(given, str) else given
         else:
             if not isinstance(own, WorldVariant):
                 one_of("setting or knob", knob, (*known, *there))
