@@ -75,7 +75,7 @@ def of_levels(rows: pl.DataFrame, value: str, condition: str, minus: str | None 
     return estimate_mean(one.sort("level")[value].drop_nulls().to_numpy())
 
 
-def table_of(rows: Mapping[str, Estimate], heading: str) -> pl.DataFrame:
+def table_of(rows: Mapping[Any, Estimate], heading: str) -> pl.DataFrame:
     """Return estimates by name as a table."""
     return pl.DataFrame(
         [

@@ -24,6 +24,14 @@ RANDOMS = "random vectors of the same length"
 SUBTRACTED, ADDED, MEAN = "subtracted", "added", "mean of all levels subtracted"
 COEFFICIENTS = (-3.0, -2.0, -0.5, 0.5, 2.0)  # beside -1 and 1
 SQUARE, START, ALL = "at", "start", "towards"  # columns: the decision square, the beginning, places
+PLACED = {  # the name and the caption of each column's table
+    SQUARE: (
+        "effects",
+        "Probability of the next step to the cheese where the ways to cheese and corner part",
+    ),
+    START: ("starts", "The same where levels begin"),
+    ALL: ("everywhere", "The same at places all over the level"),
+}
 PLACES = {"smoke": 64, "published": 16}  # of each level, its beginning among them
 SWEPT = 120  # levels in which other layers and coefficients are tried
 
@@ -51,9 +59,8 @@ def find(work: Work) -> Findings:
     rows = work.keep("effects", lambda: steered(work.size, agent, variant, levels))
     main = LAYERS[work.size].main
     shown = (PLAIN, SUBTRACTED, WITHOUT, ADDED, RANDOM, MEAN)
-    said, starts, everywhere = (
-        {name: of_levels(rows, where, name) for name in shown} for where in (SQUARE, START, ALL)
-    )
+    found = {where: {name: of_levels(rows, where, name) for name in shown} for where in PLACED}
+    said = found[SQUARE]
     few = rows.filter(pl.col("level") < SWEPT)  # the levels of all other layers and coefficients
     depth = means(
         few, {f"subtracted at {layer}": layer for layer in LAYERS[work.size].layers}, "layer"
@@ -99,18 +106,7 @@ def find(work: Work) -> Findings:
             ),
         ],
         tables=[
-            Table(
-                "effects",
-                "Probability of the next step to the cheese where the ways to cheese "
-                "and corner part",
-                table_of(said, "condition"),
-            ),
-            Table("starts", "The same where levels begin", table_of(starts, "condition")),
-            Table(
-                "everywhere",
-                "The same at places all over the level",
-                table_of(everywhere, "condition"),
-            ),
+            *(Table(*named, table_of(found[at], "condition")) for at, named in PLACED.items()),
             Table(
                 "vectors",
                 "The vectors of each layer: mean length, mean length of "
@@ -160,14 +156,8 @@ def steered(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> p
 
 def means(rows: pl.DataFrame, names: Mapping[str, str | float], heading: str) -> pl.DataFrame:
     """Return the mean of some conditions, under their names in a figure."""
-    return pl.concat(
-        [
-            table_of({"": of_levels(rows, SQUARE, name)}, "")
-            .drop("")
-            .with_columns(pl.lit(called).alias(heading))
-            for name, called in names.items()
-        ]
-    )
+    found = {called: of_levels(rows, SQUARE, name) for name, called in names.items()}
+    return table_of(found, heading).select("mean", "low", "high", "n", heading)
 
 
 def shapes(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:

@@ -73,8 +73,7 @@ def best_returns(work: Work) -> pl.DataFrame:
 def estimate(episodes: pl.DataFrame, test: str, measure: str, policy: str = AGENTS) -> Estimate:
     """Return the mean of a measure for a policy, over levels where all have it."""
     part = episodes.filter(test=test, policy=policy)
-    silent = part.filter(pl.col(measure).is_null())["level"].unique()
-    part = part.filter(~pl.col("level").is_in(silent.implode()))
+    part = part.filter(pl.col(measure).is_not_null().all().over("level"))
     if part.is_empty():
         return Estimate.nothing()
     return estimate_mean(matrix(part, pl.col(measure)))
