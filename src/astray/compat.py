@@ -31,6 +31,10 @@ COMBOS = [
     ("LEFT", "DOWN"), ("LEFT",), ("LEFT", "UP"), ("DOWN",), (), ("UP",), ("RIGHT", "DOWN"),
     ("RIGHT",), ("RIGHT", "UP"), ("D",), ("A",), ("W",), ("S",), ("Q",), ("E",),
 ]  # fmt: skip
+PICTURED = (
+    "center_agent", "use_backgrounds", "use_monochrome_assets", "restrict_themes",
+    "use_generated_assets", "paint_vel_info",
+)  # fmt: skip  # options that change pictures
 FORCE_RESET = -1  # an action
 ONWARD = 997  # from a sequential level that was completed to the next
 WORD = 2**32
@@ -68,17 +72,11 @@ class Options:
         bounded("num_levels", self.num_levels, 0, LEVELS.stop - self.start_level)
         bounded("num_threads", self.num_threads, 0, MOST)
         bounded("rand_seed", self.rand_seed or 0, 0, 2**31 - 1)
-        for name in ("center_agent", "use_backgrounds"):
-            if not getattr(self, name):
-                raise ValueError(f"{name} must be True, as other pictures are not drawn; got False")
-        for name in (
-            "use_monochrome_assets",
-            "restrict_themes",
-            "use_generated_assets",
-            "paint_vel_info",
-        ):
-            if getattr(self, name):
-                raise ValueError(f"{name} must be False, as other pictures are not drawn; got True")
+        for name in PICTURED:
+            given, only = getattr(self, name), getattr(Options, name)
+            if given != only:
+                told = f"{name} must be {only}, as other pictures are not drawn"
+                raise ValueError(f"{told}; got {given}")
 
     def levels(self, name: str) -> range:
         """Return the levels to draw from.
