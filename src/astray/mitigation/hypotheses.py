@@ -6,6 +6,7 @@ their mutual information on unlabelled test frames is minimised. A few labelled 
 select a head.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,14 +51,12 @@ class Heads(nn.Module):
 
 def mutual_information(probabilities: Tensor) -> Tensor:
     """Return the mean mutual information of pairs of K heads over a batch, [B, K] -> [] nats."""
-    heads, total = probabilities.shape[1], probabilities.new_zeros(())
-    both = torch.stack([probabilities, 1 - probabilities])  # [2, B, K]
-    for i in range(heads):
-        for j in range(i + 1, heads):
-            joint = torch.einsum("ab,cb->ac", both[:, :, i], both[:, :, j]) / len(probabilities)
-            alone = joint.sum(1, keepdim=True) * joint.sum(0, keepdim=True)
-            total = total + (joint * ((joint + TINY) / (alone + TINY)).log()).sum()
-    return total / (heads * (heads - 1) / 2)
+    both, found = torch.stack([probabilities, 1 - probabilities]), []  # [2, B, K]
+    for one, other in itertools.combinations(both.unbind(2), 2):
+        joint = torch.einsum("ab,cb->ac", one, other) / len(probabilities)
+        alone = joint.sum(1, keepdim=True) * joint.sum(0, keepdim=True)
+        found.append((joint * ((joint + TINY) / (alone + TINY)).log()).sum())
+    return torch.stack(found).mean()
 
 
 def train_heads(

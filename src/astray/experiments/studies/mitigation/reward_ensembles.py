@@ -14,7 +14,8 @@ from astray.report.claims import above, below, rounded
 from astray.report.findings import Findings, Plot, Table
 
 CHEESE, CORNER = "cheese", "corner"
-NAMES = [CHEESE, CORNER]
+PLACED = {CHEESE: "goal", CORNER: "corner"}  # the field of states with its place
+NAMES = list(PLACED)
 TRAINING, TEST = "corner-small", "anywhere-small"
 FIRST, SECOND, THIRD = 0, 1_000_000, 2_000_000  # numbers of training, unlabelled, test levels
 FRAMES = 4000  # of each kind
@@ -39,13 +40,13 @@ def frames(variant: str, first: int, count: int, seed: int) -> Frames:
         cells = np.argwhere(solver.reachable(s))
         y, x = cells[random.integers(len(cells))]
         if kind:
-            place = (CHEESE, CORNER)[kind - 1].replace(CHEESE, "goal")
+            place = PLACED[NAMES[kind - 1]]
             x, y = s[f"{place}_x"], s[f"{place}_y"]
         s.x, s.y = x + 0.5, y + 0.5
     labels = {
         name: (np.floor(states["x"]) == states[f"{place}_x"])
         & (np.floor(states["y"]) == states[f"{place}_y"])
-        for name, place in ((CHEESE, "goal"), (CORNER, "corner"))
+        for name, place in PLACED.items()
     }
     env = GameVectorEnv("maze", variant, count, observation="symbolic")
     largest = np.maximum(env.game.symbols.planes(env.variant), 1)
