@@ -8,7 +8,7 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from astray.analysis.critic import counterfactual, visit
-from astray.analysis.estimates import group_means
+from astray.analysis.estimates import group_means, mean_of
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
 from astray.experiments.spec import Experiment, Size, Test, Work
@@ -46,8 +46,10 @@ def find(work: Work) -> Findings:
     table = work.keep("probes", lambda: probes.probe(agent, variant, states(), *told, folds=folds))
     changes = work.keep("changes", lambda: changed(agent, variant, states()))
     by_edit = group_means(changes, "policy_change", ["edit"])
-    moved = {e: estimate(changes, e, "policy_change") for e in (REMOVED, ADDED)}
-    value = {e: estimate(changes, e, "change") for e in (REMOVED, ADDED)}
+    moved, value = (
+        {edit: mean_of(changes.filter(edit=edit), column) for edit in (REMOVED, ADDED)}
+        for column in ("policy_change", "change")
+    )
     last = {label: score(table, label, LAST) for label in READ}
     return Findings(
         answer=f"Off the last layer, whether a coin is in view is read with a balanced accuracy of "
@@ -146,12 +148,6 @@ def changed(agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
         table = counterfactual(agent, variant, states[which], edit).filter("seen")
         parts.append(table.select("level", "step", "change", "policy_change", edit=pl.lit(name)))
     return pl.concat(parts)
-
-
-def estimate(changes: pl.DataFrame, edit: str, value: str) -> Estimate:
-    """Return the mean change by an edit, with its interval over levels."""
-    row = group_means(changes.filter(edit=edit), value, ["edit"]).row(0, named=True)
-    return Estimate.of(row)
 
 
 def score(table: pl.DataFrame, label: str, layer: str, column: str = "score") -> Estimate:
