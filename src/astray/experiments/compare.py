@@ -21,7 +21,6 @@ from astray.analysis.runs import evaluate_policies, names_of
 from astray.analysis.trained import Agent
 from astray.experiments.outcomes import STREAMS, curve_plot
 from astray.figures import charts
-from astray.figures.style import save
 from astray.files import check_free, files_aside
 from astray.game import Game, Shift, Variant
 from astray.report.claims import holm, nonzero
@@ -89,17 +88,14 @@ def compare(
     rates = _in_order(result.rates, names)
     differences = paired(result, names)
     named = (name for name, one in rules.variants.items() if one == where)
-    shown: list[Plot] = [_outcomes(rates), *curves]
     told: dict[str, Sequence[Item]] = {
         "": [*result.verdict.splitlines(), Code(command or WRITER)],
-        "Outcomes": [shown[0], Table("outcomes", "Which goal was reached first", rates)],
+        "Outcomes": [_outcomes(rates), Table("outcomes", "Which goal was reached first", rates)],
         "In the same levels": [Table("differences", DIFFERENCES, differences)],
     }
     with files_aside(folder, PAGE, SIGN) as aside:
         told["Side by side"] = _videos(players, game, where, result, aside)
-        told["Learning curves"] = shown[1:]
-        for plot in shown:
-            save(plot.figure, aside / "figures", plot.name)
+        told["Learning curves"] = curves
         write_page(
             aside / PAGE, f"{', '.join(names)} in {next(named, name_of(where))}",
             [Section(heading, items) for heading, items in told.items()],
@@ -161,8 +157,8 @@ def _answer(differences: pl.DataFrame) -> str:
 
 def _in_order(rates: pl.DataFrame, names: Sequence[str]) -> pl.DataFrame:
     """Return rates, first those of distinguishing levels, and of the named policies."""
-    scripts = [name for name in rates["policy"].unique(maintain_order=True) if name not in names]
-    place = pl.col("policy").replace_strict([*names, *scripts], range(len(names) + len(scripts)))
+    order = pl.Enum([*dict.fromkeys([*names, *rates["policy"]])])
+    place = pl.col("policy").cast(order)
     return rates.sort(pl.col("levels_played") != APART, place, maintain_order=True)
 
 

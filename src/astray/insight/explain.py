@@ -20,7 +20,6 @@ from astray.analysis.tables import write_table
 from astray.analysis.trained import Model, Opaque, check_network
 from astray.envs.pictures import picture
 from astray.figures.grids import FADED, SIGNS, Picture, images
-from astray.figures.style import save
 from astray.files import check_free, files_aside
 from astray.game import Game, Shift, Variant
 from astray.insight import attribution, episode, field_figures, probes
@@ -114,15 +113,13 @@ def explain(asked: Asked, folder: str | Path, heading: str, progress: bool = Fal
         except (ValueError, ImportError) as error:
             parts.append(Section(title, [f"Not available here: {error}."]))
     shown = [item for part in parts for item in part.items]
-    plots = [item for item in shown if isinstance(item, Plot)]
     tables = {item.name: item.frame for item in shown if isinstance(item, Table)}
+    plots = (item for item in shown if isinstance(item, Plot))
     tables |= {plot.name: plot.data for plot in plots if plot.data is not None}
     about = "Figures and tables lie beside this page. The level, for `--level-file`:"
     last = Section("How to go on", [about, Code(asked.level)])
     answer = " ".join(filter(None, (_verdict(asked), asked.agent.caveat, asked.why)))
     with files_aside(folder, PAGE, SIGN) as aside:
-        for plot in plots:
-            save(plot.figure, aside, plot.name)
         for name, table in tables.items():
             write_table(table, aside / f"{name}.parquet")
         write_page(

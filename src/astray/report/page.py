@@ -19,7 +19,7 @@ from markupsafe import Markup, escape
 from astray.analysis.pages import templates
 from astray.analysis.tables import write_table
 from astray.files import read, remove_left, write_aside
-from astray.report.findings import Code, Findings, Heading, Scene, Section
+from astray.report.findings import Code, Findings, Heading, Plot, Scene, Section
 from astray.validation import printable, shown
 
 WRITTEN = ("report.html", "findings.json", "figures", "tables")  # to a report's folder
@@ -47,10 +47,7 @@ def write(
         beside: Results of other agents' report for some claims, from `of_claims`.
         links: Links from the report's folder to scenes of videos in a lab.
     """
-    from astray.figures.style import save  # here, as matplotlib takes a second to import
-
     for plot in findings.plots:
-        save(plot.figure, folder / "figures", plot.name)
         if plot.data is not None:
             write_table(plot.data, folder / "figures" / f"{plot.name}.parquet")
     for table in findings.tables:
@@ -81,16 +78,20 @@ def write(
 def write_page(
     path: Path, title: str, sections: Sequence[Section], *, figures: Path, **how: Any
 ) -> None:
-    """Write a self-contained page; empty sections are left out.
+    """Write the figures of a page and the self-contained page; empty sections are left out.
 
     Args:
         path: The page.
         title: Its title.
         sections: Its sections.
-        figures: Folder of the figures, which must exist.
+        figures: Folder of the figures.
         how: Further variables of the template: `heading` and `answer` of a study, `beside` and
             `links` as in `write`, `sign` of the writer, and `lab`, the command that opens a lab.
     """
+    from astray.figures.style import save  # here, as matplotlib takes a second to import
+
+    for plot in (item for one in sections for item in one.items if isinstance(item, Plot)):
+        save(plot.figure, figures, plot.name)
     usual = {"heading": None, "answer": "", "beside": {}, "links": {}, "sign": "", "lab": ""}
     page = _render(
         "page.html", title=title, sections=[s for s in sections if s.items], figures=figures,
