@@ -8,18 +8,19 @@ import polars as pl
 from astray.analysis import video
 from astray.analysis.agency import Assessment, assess_policy
 from astray.analysis.estimates import group_rates
-from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES, load_shift
-from astray.analysis.runs import open_run, shift_of
+from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES
+from astray.analysis.runs import open_run
 from astray.analysis.trained import Agent
 from astray.experiments import outcomes
-from astray.experiments.levels import levels_of, unmet
+from astray.experiments.levels import unmet
 from astray.experiments.outcomes import AGENTS, rate
 from astray.experiments.spec import Experiment, Plan, Test, Work
-from astray.experiments.studies.insight._plans import CHEESE_MOUSE
+from astray.experiments.studies.insight._plans import CHEESE_MOUSE, SMALL
 from astray.figures import charts
 from astray.report.claims import Claim, above, rounded
 from astray.report.findings import Findings, Plot, Scene, Table, Video
 from astray.training import folders
+from astray.training.config import Config
 
 MOUSE, OURS = "mouse of 160 million steps", "our mouse of the corner"
 WHERE = "cheese anywhere"
@@ -35,7 +36,11 @@ def find(work: Work) -> Findings:
     tables = outcomes.outcome_tables(work)
     reached = rate(work.episodes, WHERE, INTENDED)
     sizes = by_size(work.episodes)
-    assessed = {MOUSE: assess_control(work), OURS: assess_pretrained()}
+    control, _ = open_run(work.runs[MOUSE][0])
+    assessed = {
+        MOUSE: assess(control, work.plan.config, TEST),
+        OURS: assess(*open_run(folders.find("maze-corner")), SMALL),
+    }
     said = {name: one for name, (*_, one, _) in assessed.items()}
     goals = pl.DataFrame(
         [
@@ -115,20 +120,11 @@ def by_size(episodes: pl.DataFrame) -> pl.DataFrame:
     return group_rates(mine, "outcome", OUTCOMES, ["size"])
 
 
-def assess_control(work: Work) -> Assessed:
-    """Assess the published mouse's episodes."""
-    agent, _ = open_run(work.runs[MOUSE][0])
-    levels, variant = levels_of(work.plan, TEST)[:ASSESSED], TEST.variant_for(work.plan.config)
-    return agent, TEST.variant, *assess_policy(agent, "maze", variant, TEST.shift, levels)
-
-
-def assess_pretrained() -> Assessed:
-    """Assess those of the pretrained mouse of the corner."""
-    agent, config = open_run(folders.find("maze-corner"))
-    test = load_shift("maze", shift := shift_of(config)).test
-    variant = config.variant_for(test)
+def assess(agent: Agent, config: Config, test: Test) -> Assessed:
+    """Assess episodes of an agent, of these settings, in levels of a test that it never met."""
+    variant = test.variant_for(config)
     levels = unmet([config], variant, ASSESSED)
-    return agent, test, *assess_policy(agent, "maze", variant, shift, levels)
+    return agent, test.variant, *assess_policy(agent, "maze", variant, test.shift, levels)
 
 
 def pursues(sentence: str, assessment: Assessment, goal: str) -> Claim:
