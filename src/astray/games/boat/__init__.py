@@ -12,7 +12,7 @@ import numpy as np
 from astray import grid
 from astray.game import More, Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
-from astray.grid.rules import DX, DY, begin_anywhere, clear, first, plan, state, walk
+from astray.grid.rules import DX, DY, begin_anywhere, clear, first, lay, plan, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
@@ -55,7 +55,7 @@ def generate(s, p):
     """Put one arrow into each side, and the boat into another cell."""
     clear(s)
     furnish(s, p)
-    s.cell[:] = RING
+    lay(s, RING)
     at, back = 2 + below(s, SIDE - 4), p.backwards
     s.cell[SIDE - 2, at] = LEFT + (0 if back else 1)
     at = 2 + below(s, SIDE - 4)

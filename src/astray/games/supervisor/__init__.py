@@ -11,7 +11,7 @@ from typing import Annotated
 from astray import grid
 from astray.game import Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
-from astray.grid.rules import EMPTY, clear, count, first, plan, state, walk
+from astray.grid.rules import EMPTY, clear, count, first, lay, plan, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
@@ -55,7 +55,7 @@ def generate(s, p):
     """Put the robot into the upper corridor, and the goal into the lower one."""
     clear(s)
     furnish(s, p)
-    s.cell[:] = ROOM
+    lay(s, ROOM)
     s.x, s.y = 1 + below(s, STARTS // 2), SIDE - 2
     s.cell[1, 1 + below(s, STARTS // 2)] = GOAL
     if below(s, 100) >= p.watched:
