@@ -82,6 +82,7 @@ def drawn(number=3):
         lambda: devices.see(ROOM, WALK.trajectory, None, "types"),
         lambda: devices.see(ROOM, WALK.trajectory, None, "type", "Skip"),
         lambda: log_table(rule(3), "other"),
+        lambda: generators.Setting(ROOM, (0, 0), (2, 2), 0, ties="Straight"),
         lambda: generators.Setting(ROOM, (0, 0), (2, 2), 0).episodes("Robust", 1),
         lambda: replace(SMALL, placement="Corner"),
         lambda: replace(PRESETS["small"], timeouts="Terminate"),

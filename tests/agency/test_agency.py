@@ -198,6 +198,7 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=1.5),  # pyrefly: ignore
          "horizon must be an integer from 1 to 2147483647; got 1.5"),
         (lambda: Setting(SMALL, (0, 2), (2, 2), 0, horizon=0), "from 1 to 2147483647; got 0"),
+        (lambda: Setting(SMALL, (0, 2), (2, 2), 0, bumps=2), "bumps must be a bool; got 2"),  # pyrefly: ignore
         (lambda: Setting("..", (0, 2), (2, 2), 0), "world must be a World; got '..'"),  # pyrefly: ignore
         (lambda: Setting(SMALL, (0, 2), (2, 2), 0).episodes("robust", 1.5),  # pyrefly: ignore
          "count must be an integer from 0 to 2147483647; got 1.5"),

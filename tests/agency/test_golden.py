@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from astray.agency import devices
-from astray.agency.gridworld import ACTIONS, World
+from astray.agency.gridworld import World
 from astray.agency.measure import (
     CALIBRATED,
     OTHER,
@@ -19,7 +19,6 @@ from astray.agency.measure import (
     measure_named,
 )
 from astray.agency.online import measure_online
-from astray.agency.steps import KIND
 from helpers.cases import REFERENCE
 
 GOLDEN = json.loads((REFERENCE / "agency_golden.json").read_text())
@@ -98,9 +97,8 @@ def test_fractions_tables_and_single_goals_are_exact(case):
     exact = float(Fraction(case["p_dev_type_exact"]))
     assert np.exp(measure(episode, PAPER).log_device) == pytest.approx(exact, rel=1e-12)
     seen = devices.see(episode.world, episode.trajectory, episode.world.number(episode.true))
-    taken = seen.kinds == KIND[1, 1, len(ACTIONS)]  # the entry that the step took
-    rows = [taken[seen.observation == one].sum(0).tolist() for one in np.unique(seen.observation)]
-    assert sorted(rows) == sorted(case["device_table_type"].values())
+    rows = sorted(devices.table_of(seen).tolist())
+    assert rows == sorted(case["device_table_type"].values())
 
 
 @every_case

@@ -18,14 +18,16 @@ from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import load_agent
 from astray.envs.vector import GameVectorEnv
 from astray.mitigation import oversight
-from astray.mitigation.helped import AFTER, BEFORE, SEEN, Alone, Helped, Watch, play, play_alone
+from astray.mitigation.helped import AFTER, BEFORE, SEEN, Helped, Watch, play
 from astray.mitigation.oversight import (
     PERCENTILES,
     Trial,
     area,
+    curve,
     least_gain,
     net_returns,
     threshold,
+    training_scores,
     when_asked,
 )
 from astray.mitigation.uncertainty import Chance, OfLogits
@@ -54,7 +56,7 @@ class ByTime:
 
 def test_what_help_brings_is_told_level_by_level(mouse):
     trial = Trial("maze", SHIFT, CORNER, range(10), ANYWHERE, LEVELS)
-    table = oversight.curves(mouse, Walk("cheese"), [Chance()], trial, percentiles=(50.0,))
+    table = curve(mouse, Walk("cheese"), Chance(), trial, "step", (50.0,))
     alone = evaluate(mouse, "maze", ANYWHERE, LEVELS)["return"]
     best = evaluate(Walk("cheese"), "maze", ANYWHERE, LEVELS)["return"]
     nothing, all_of_it, _ = table.select("gain", "error").rows()
@@ -158,14 +160,8 @@ def test_thresholds_are_percentiles_of_steps_or_of_the_highest_of_levels():
         threshold(scores, 101, "step")
 
 
-def in_training(novice, score, variant, levels):
-    """The score at each step of the novice alone, by level."""
-    _, said = play_alone(Alone(novice, [score]), MAZE, variant, levels)
-    return said.select("level", score="0")
-
-
 def test_scores_in_training_are_those_of_the_novices_own_steps(mouse):
-    scores = in_training(mouse, OfLogits(mouse, "entropy"), CORNER, LEVELS)
+    scores = training_scores(mouse, OfLogits(mouse, "entropy"), "maze", CORNER, LEVELS)
     alone = evaluate(mouse, "maze", CORNER, LEVELS)
     lengths = scores.group_by("level").len().sort("level")["len"]
     assert lengths.to_list() == alone["length"].to_list()
@@ -196,8 +192,7 @@ def test_the_dearer_a_query_the_fewer_are_worth_it():
 
 def test_a_curve_goes_from_the_novice_to_the_expert(mouse):
     trial = Trial("maze", SHIFT, CORNER, range(40), ANYWHERE, LEVELS)
-    score = OfLogits(mouse, "entropy")
-    table = oversight.curves(mouse, Walk("cheese"), [score], trial, percentiles=(50.0, 90.0))
+    table = curve(mouse, Walk("cheese"), OfLogits(mouse, "entropy"), trial, "step", (50.0, 90.0))
     assert table["percentile"].to_list() == [None, None, 50, 90]
     assert table["help"][0] == 0 and table["help"][1] == 1 and table["return"][1] == 10
     assert table["help"][1] > table["help"][2] > table["help"][3] > 0
@@ -226,9 +221,7 @@ def test_help_is_tried_where_goals_are_counts(name, shift):
     knobs = {"time_limit": 50}
     training, test = (game.variant(v).with_knobs(knobs) for v in (between.train, between.test))
     trial = Trial(game, between, training, range(5), test, range(500, 520))
-    none, full = oversight.curves(
-        Random(1), Random(2), [Chance()], trial, percentiles=()
-    ).to_dicts()
+    none, full = curve(Random(1), Random(2), Chance(), trial, percentiles=()).to_dicts()
     for row, seed in ((none, 1), (full, 2)):
         outcome = label(evaluate(Random(seed), game, test, range(500, 520)), game, between)
         assert row["misgeneralized"] == (outcome["outcome"] == MISGENERALIZED).mean()
@@ -244,7 +237,7 @@ def test_what_curves_share_is_as_if_each_point_were_played_by_itself(mouse):
     table = oversight.curves(mouse, Walk("cheese"), scores, trial, ("step", "level"), (75.0,))
     assert len(table) == 3 * 2 * 3
     for score in scores:
-        known = in_training(mouse, score, corner, range(40))
+        known = training_scores(mouse, score, MAZE, corner, range(40))
         for granularity in ("step", "level"):
             mine = table.filter(score=score.name, granularity=granularity)
             limits = [np.inf, -np.inf, threshold(known, 75, granularity)]
@@ -260,7 +253,7 @@ def test_what_curves_share_is_as_if_each_point_were_played_by_itself(mouse):
                     assert row[moment] == rate
     asked = when_asked(mouse, scores, trial, 75.0)
     for score in scores:
-        limit = threshold(in_training(mouse, score, corner, range(40)), 75, "step")
+        limit = threshold(training_scores(mouse, score, MAZE, corner, range(40)), 75, "step")
         alone = play(Helped(mouse, mouse, score, limit), MAZE, anywhere, LEVELS, watch)
         found = asked.filter(score=score.name).select(alone.columns)
         assert found.drop("highest").equals(alone.drop("highest"))

@@ -38,6 +38,7 @@ class Seen:
 
     observation: np.ndarray  # [T] int64, any codes
     kinds: np.ndarray  # [T, 4] uint8, the kind of the step if the entry is b
+    same: np.ndarray  # [T, 4] bool, whether the step is what the entry b says
 
     def __len__(self) -> int:
         return len(self.observation)
@@ -70,14 +71,14 @@ def see(
     codes = _codes(world, before, last, goal, what)
     if first == "null" and len(codes) and what not in HEADLESS:
         codes[0] = UNSEEN
-    same = (entries == taken[:, None]).astype(int)
+    same = entries == taken[:, None]
     possible = world.legal[before].sum(1) if legal else np.full(len(before), A)
-    kinds = KIND[same, 1, possible[:, None]]
+    kinds = KIND[same.astype(int), 1, possible[:, None]]
     if legal:
         blocked = ~np.take_along_axis(world.legal[before], entries, 1)
         kinds = np.where(blocked, KIND[1, possible, possible][:, None], kinds)
     assessed = slice(1 if first == "skip" else 0, None)
-    return Seen(codes[assessed], kinds[assessed])
+    return Seen(codes[assessed], kinds[assessed], same[assessed])
 
 
 def _codes(
@@ -109,7 +110,7 @@ def _faced(world: World, before: np.ndarray, last: np.ndarray, goal: int | None)
 
 def join(seen: Sequence[Seen]) -> Seen:
     """Concatenate the steps of several trajectories of one device."""
-    parts = zip(*((one.observation, one.kinds) for one in seen), strict=True)
+    parts = zip(*((one.observation, one.kinds, one.same) for one in seen), strict=True)
     return Seen(*(np.concatenate(part) for part in parts))
 
 
@@ -135,3 +136,11 @@ def log_mixture_online(seen: Seen, rule: Rule, table: np.ndarray) -> np.ndarray:
         gained = logsumexp(entries[code], axis=0) - logsumexp(old, axis=0)
         rows.append(rows[-1] + gained)
     return rule.integrate(np.array(rows))
+
+
+def table_of(seen: Seen) -> np.ndarray:
+    """Return [V, 4] int64, how often each action followed each of V observations."""
+    _, row = np.unique(seen.observation, return_inverse=True)
+    counts = np.zeros((row.max(initial=-1) + 1, A), np.int64)
+    np.add.at(counts, row, seen.same)
+    return counts

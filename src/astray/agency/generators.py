@@ -10,10 +10,13 @@ import numpy as np
 from astray.agency.devices import CLOCKWISE, COMPASS
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.measure import Episode
-from astray.validation import MOST, bounded, finite, of_kind, one_of
+from astray.validation import MOST, bounded, check_words, finite, of_kind, one_of
 
 Type = Literal["in-distribution", "goal misgeneralization", "capability failure", "robust"]
 TYPES: tuple[Type, ...] = get_args(Type)
+# Between equally short ways: "uniform", any of the best actions at each step; "first", the first
+# in the order of ACTIONS; "straight", on as before where that is best, else the first.
+Ties = Literal["uniform", "first", "straight"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,16 +24,21 @@ class Setting:
     """A world with the fixed start and goal of the training (the paper's s and g).
 
     Attributes:
+        ties: Choice among shortest ways.
         horizon: Steps of a capability failure, including those on the memorised way.
+        bumps: Whether random actions may run into walls; otherwise they always move.
     """
 
     world: World
     start: Cell
     goal: Cell
     seed: int
+    ties: Ties = "uniform"
     horizon: int = 50
+    bumps: bool = True
 
     def __post_init__(self) -> None:
+        check_words(self)
         of_kind("world", self.world, World)
         bounded("seed", self.seed, 0, MOST)
         bounded("horizon", self.horizon, 1, MOST)
@@ -42,7 +50,7 @@ class Setting:
     def memory(self) -> dict[int, int]:
         """Cell -> action of the way from start to goal that a capability failure memorised."""
         rng = np.random.default_rng([self.seed, 1])
-        way = shortest(self.world, self.start, self.goal, rng)
+        way = shortest(self.world, self.start, self.goal, rng, self.ties)
         return dict(zip(way.cells[:-1].tolist(), way.actions.tolist(), strict=True))
 
     def episodes(self, kind: Type, count: int) -> list[Episode]:
@@ -60,7 +68,7 @@ class Setting:
         begin = self._other(rng, pursued)
         if kind == "capability failure":
             return Episode(self.world, self._lost(begin, rng), shown)
-        return Episode(self.world, shortest(self.world, begin, pursued, rng), shown)
+        return Episode(self.world, shortest(self.world, begin, pursued, rng, self.ties), shown)
 
     def _other(self, rng: np.random.Generator, cell: Cell) -> Cell:
         """Draw an accessible cell other than `cell`."""
@@ -69,30 +77,37 @@ class Setting:
         return self.world.cell(number)
 
     def _lost(self, begin: Cell, rng: np.random.Generator) -> Trajectory:
-        """Act randomly, also into walls, until the memorised way is met; follow it to the goal."""
+        """Act randomly until the memorised way is met, then follow it to the goal."""
         world, here, actions = self.world, self.world.number(begin), []
         goal = world.number(self.goal)
         while here != goal and len(actions) < self.horizon:
+            choices = range(len(ACTIONS)) if self.bumps else np.flatnonzero(world.legal[here])
             action = self.memory.get(here)
-            actions.append(int(rng.choice(len(ACTIONS))) if action is None else action)
+            actions.append(int(rng.choice(choices)) if action is None else action)
             here = int(world.after[here, actions[-1]])
         return world.walk(begin, actions)
 
 
-def shortest(world: World, begin: Cell, end: Cell, rng: np.random.Generator) -> Trajectory:
+def shortest(
+    world: World, begin: Cell, end: Cell, rng: np.random.Generator, ties: Ties = "uniform"
+) -> Trajectory:
     """Sample a shortest way from `begin` to `end` action by action, not uniformly among ways.
 
     Raises:
         ValueError: If there is no way.
     """
+    one_of("ties", ties, Ties)
     here, steps = world.number(begin), world.distance[:, world.number(end)]
     if not np.isfinite(steps[here]):
         raise ValueError(f"no way leads from {begin} to {end}")
     actions: list[int] = []
     while steps[here]:
         best = np.flatnonzero(steps[world.after[here]] == steps[here] - 1)
-        actions.append(int(rng.choice(best)))
-        here = int(world.after[here, actions[-1]])
+        action = rng.choice(best) if ties == "uniform" else best[0]
+        if ties == "straight" and actions and actions[-1] in best:
+            action = actions[-1]
+        actions.append(int(action))
+        here = int(world.after[here, action])
     return world.walk(begin, actions)
 
 

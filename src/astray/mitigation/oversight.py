@@ -56,6 +56,14 @@ class Trial:
         of_kind("watch", self.watch, Watch | None)
 
 
+def training_scores(
+    novice: Policy, score: Score, game: str | Game, variant: Variant, levels: Levels
+) -> pl.DataFrame:
+    """Return the score at each step of the novice alone in training levels, by level."""
+    _, said = play_alone(Alone(novice, [score]), game, variant, levels)
+    return said.select("level", score="0")
+
+
 def threshold(scores: pl.DataFrame, percentile: float, granularity: Granularity) -> float:
     """Return the percentile of the score over steps, or over the maxima of levels.
 
@@ -63,7 +71,7 @@ def threshold(scores: pl.DataFrame, percentile: float, granularity: Granularity)
     computed from per-level maxima.
 
     Args:
-        scores: Columns level and score, a row for each step of the novice alone in training levels.
+        scores: Result of `training_scores`.
 
     Raises:
         ValueError: If an argument is invalid.
@@ -74,6 +82,18 @@ def threshold(scores: pl.DataFrame, percentile: float, granularity: Granularity)
     if granularity == "level":
         scores = scores.group_by("level").agg(pl.col("score").max())
     return float(np.percentile(scores["score"].to_numpy(), percentile))
+
+
+def curve(
+    novice: Policy,
+    expert: Policy,
+    score: Score,
+    trial: Trial,
+    granularity: Granularity = "step",
+    percentiles: Sequence[float] = PERCENTILES,
+) -> pl.DataFrame:
+    """Return the `curves` for one score and one granularity."""
+    return curves(novice, expert, [score], trial, [granularity], percentiles)
 
 
 def curves(
