@@ -19,6 +19,7 @@ from astray.cli.arguments import Acting
 from astray.experiments import compare as comparison
 from astray.experiments.compare import _short, compare, paired
 from astray.figures import charts
+from astray.game import Shift
 from astray.report.findings import Plot
 from astray.training import folders
 from helpers.rooms import WORLD, go_right
@@ -114,6 +115,23 @@ def test_differences_are_corrected_for_their_number():
     assert paired(result, ["seldom", "a"])["differ"].all()
     many = paired(result, ["seldom", *others])
     assert ((many["low"] > 0) | (many["high"] < 0)).sum() == 14 and not many["differ"].any()
+
+
+def test_agents_of_the_same_outcomes_have_no_level_in_which_they_differ(tmp_path):
+    also = Function(go_right, "also right")
+    page = compare([Function(go_right, "right"), also], WORLD, "end", range(9), tmp_path / "page")
+    told = page.read_text()
+    assert "in it they have the same outcome, as in all levels." in told
+    assert "the first in which most" not in told
+
+
+def test_in_a_shift_without_proxies_the_intended_goal_is_compared(tmp_path):
+    world = replace(WORLD, shifts={"end": Shift("end", "anywhere", "square", ())})
+    left = Function(lambda seen: np.zeros(len(seen), int), "left")
+    both = [Function(go_right, "right"), left]
+    told = compare(both, world, Shift("end", "end", "square", ()), range(9), tmp_path).read_text()
+    assert "right reaches square more often than left: square comes first in 100.0" in told
+    assert "distinguish the goals." not in told, "as there is one goal alone"
 
 
 def test_policies_of_a_world_are_compared(astray, tmp_path):

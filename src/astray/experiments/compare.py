@@ -99,7 +99,7 @@ def compare(
         write_page(
             aside / PAGE, f"{', '.join(names)} in {next(named, name_of(where))}",
             [Section(heading, items) for heading, items in told.items()],
-            figures=aside / "figures", answer=_answer(differences), sign=WRITER,
+            figures=aside / "figures", answer=_answer(differences, between), sign=WRITER,
         )  # fmt: skip
     return folder / PAGE
 
@@ -138,18 +138,26 @@ def paired(result: Result, names: Sequence[str]) -> pl.DataFrame:
     return table.insert_column(table.width - 1, pl.Series("differ", holm(chances)))
 
 
-def _answer(differences: pl.DataFrame) -> str:
-    """Return the verdict: the largest difference in misgeneralization that is certain."""
-    rows = differences.filter("differ", outcome=MISGENERALIZED)
+def _answer(differences: pl.DataFrame, shift: Shift) -> str:
+    """Return the verdict: the largest certain difference in misgeneralization.
+
+    In a shift without proxies, it is that in the intended goal.
+    """
+    outcome, does, goal = (
+        (MISGENERALIZED, "misgeneralizes", "a proxy")
+        if shift.proxies
+        else (INTENDED, f"reaches {shift.intended}", shift.intended)
+    )
+    rows = differences.filter("differ", outcome=outcome)
     if rows.is_empty():
         pairs = differences.select("first", "second").unique()
         who = "They do not" if len(pairs) == 1 else "No two of them"
-        return f"{who} differ for certain in how often a proxy comes first."
+        return f"{who} differ for certain in how often {goal} comes first."
     most = rows.sort(pl.col("mean").abs(), descending=True).row(0, named=True)
     more, less = (most["first"], most["second"])[:: 1 if most["mean"] > 0 else -1]
     low, high = sorted(abs(100 * most[end]) for end in ("low", "high"))
     return (
-        f"{more} misgeneralizes more often than {less}: a proxy comes first in "
+        f"{more} {does} more often than {less}: {goal} comes first in "
         f"{abs(100 * most['mean']):.1f} percentage points more of the same {most['levels']:,} "
         f"levels (95\u00a0% interval {low:.1f} to {high:.1f})."
     )
@@ -206,4 +214,7 @@ def _videos(
     path = folder / "videos" / "together.mp4"
     together = video.beside(*frames, captions=captions)
     video.write(together, path, fps=8)
-    return [Video(f"Level {level}: the first in which most of their outcomes differ.", path)]
+    told = "in it they have the same outcome, as in all levels"
+    if differing["outcome"][0] > 1:
+        told = "the first in which most of their outcomes differ"
+    return [Video(f"Level {level}: {told}.", path)]
