@@ -1,5 +1,8 @@
 """A reward of one's own takes the game's place in training, and is measured beside it."""
 
+from dataclasses import replace
+
+import gymnasium
 import numpy as np
 import pytest
 
@@ -11,7 +14,7 @@ from astray.training.config import Config
 from astray.training.folders import AGENT, latest
 from astray.training.loop import iterate, train
 from astray.training.settings import Sampling
-from helpers.rooms import CELLS, WORLD
+from helpers.rooms import CELLS, WORLD, Room
 
 ROOM = Config(WORLD, "end", num_envs=8, num_steps=32, minibatches=4, steps=2 * 256)
 MAZE = Config("maze", "corner-small", num_envs=8, num_steps=32, minibatches=4, steps=2 * 256)
@@ -60,6 +63,22 @@ def test_the_game_s_own_rewards_teach_the_same_to_the_bit(config, tmp_path):
 def test_a_reward_sees_states_and_observations_of_whole_steps(config):
     last = [iteration.metrics for iteration in iterate(config, reward=counted)][-1]
     assert last["training/return"] == 1.0  # one for each end
+
+
+def of_actions(step):
+    return (step.actions == [2, 5]).sum(1)  # the least and the largest
+
+
+class Offset(Room):
+    def __init__(self):
+        super().__init__()
+        self.action_space = gymnasium.spaces.MultiDiscrete([2, 3], start=[2, 3])
+
+
+def test_a_reward_is_given_the_actions_of_the_environment_in_training_too():
+    world = replace(WORLD, name="offset", variants={"end": Offset, "anywhere": Offset})
+    for told in iterate(replace(ROOM, game=world), reward=of_actions):
+        assert told.metrics["training/reward_per_step"] == pytest.approx(1 / 2 + 1 / 3, abs=0.2)
 
 
 def test_an_agent_learns_what_a_reward_of_ones_own_pays():

@@ -105,7 +105,8 @@ class Restarting:
 
     Attributes:
         final_states: Records [N] of the episodes that ended before the current ones began.
-        single_action_space: Numbers of the rows of `action_table`.
+        actions: `action_table` of the environments' own actions.
+        single_action_space: Numbers of its rows.
         trained: As in `as_seen`; that of another variant is set before the first reset.
     """
 
@@ -120,13 +121,13 @@ class Restarting:
         self._levels, self._observation = levels, observation
         self.trained: Space = self._env.single_observation_space
         try:
-            self._actions = action_table(self._env.single_action_space)
+            self.actions = action_table(self._env.single_action_space)
             self.single_observation_space = seen_space(
                 self._env.single_observation_space, observation
             )
         except ValueError as error:
             raise ValueError(f"{variant} cannot be trained on: {error}") from error
-        self.game, self.single_action_space = world, spaces.Discrete(len(self._actions))
+        self.game, self.single_action_space = world, spaces.Discrete(len(self.actions))
         self._taken: list[list[int]] = [[] for _ in range(num_envs)]  # actions of each episode
 
     @property
@@ -145,7 +146,7 @@ class Restarting:
         """Take `actions` [N], write observations to `out` [N, ...], and return arrays [N, ...]."""
         for taken, action in zip(self._taken, actions.tolist(), strict=True):
             taken.append(action)
-        seen, reward, terminated, truncated, _ = self._env.step(self._actions[actions])
+        seen, reward, terminated, truncated, _ = self._env.step(self.actions[actions])
         ended, info = terminated | truncated, {}
         if ended.any():
             self.final_states = states = self._env.get_state()
@@ -186,7 +187,7 @@ class Restarting:
         for t in range(max(lengths)):
             played = zip(self._taken, wait, strict=True)
             now = [part[t - since] if t >= since else 0 for part, since in played]
-            seen, *_ = self._env.step(self._actions[now])
+            seen, *_ = self._env.step(self.actions[now])
             if (waiting := t < wait).any():
                 seen, _ = self._env.reset(options=begin | {"reset_mask": waiting})
         if self.game.repeats and self._env.get_state().tobytes() != states.tobytes():

@@ -59,11 +59,12 @@ def whole_step(
     if ended.any():
         seen = seen.copy()
         after[ended], seen[ended] = env.final_states[ended], np.stack(info["final_obs"][ended])
+    own = env.actions[answer.actions] if isinstance(env, Restarting) else answer.actions
     return Step(
         states["level"],
         states,
         observations,
-        answer.actions,
+        own,
         reward,
         after.view(np.recarray),
         seen,
