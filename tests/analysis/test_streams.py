@@ -10,13 +10,15 @@ import pytest
 from astray.analysis import video
 from astray.analysis.adapters import Function
 from astray.analysis.dataset import export, read_trajectories, trajectories
-from astray.analysis.estimates import estimate_difference
+from astray.analysis.estimates import mean_of, minus
 from astray.analysis.evaluate import evaluate
-from astray.analysis.outcomes import INTENDED
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, rates
 from astray.analysis.policies import Random
 from astray.analysis.runs import evaluate_policies
+from astray.estimate import Estimate
 from astray.experiments.audit import audit
 from astray.experiments.compare import compare
+from astray.experiments.outcomes import rate
 from astray.game import Shift
 from helpers.rooms import WORLD, Room, go_right
 
@@ -83,12 +85,32 @@ def test_an_audit_of_streams_without_proxies_compares_rates_of_other_levels(tmp_
     (_, lost) = json.loads((page.parent / "findings.json").read_text("utf-8"))["claims"]
     (table,) = page.parent.glob("computed/episodes-*.parquet")
     mine = pl.read_parquet(table).filter(policy="sampled")
-    rates = [
-        (mine.filter(test=test)["outcome"] == INTENDED).to_numpy()
-        for test in ("in the test", "in training")
-    ]
-    found = estimate_difference(*rates, same_levels=False)
+    came = pl.col("outcome") == INTENDED
+    rates = [mean_of(mine.filter(test=test), came) for test in ("in the test", "in training")]
+    found = minus(*rates)
     assert found.percent() in lost["ours"] and found.mean < 0
+
+
+def test_a_level_that_a_stream_has_often_counts_once_in_findings(tmp_path):
+    class Few(Stream):
+        def reset(self, *, seed=None, options=None):
+            level = int(self.numbers.integers(4))
+            return Room.reset(self, seed=level)[0], {"level_seed": level}
+
+    world = replace(
+        STREAMS, variants=dict.fromkeys(STREAMS.variants, lambda stream: Few(stream=stream))
+    )
+    page = audit(RIGHT, world, "end", levels=100, out=tmp_path)
+    told = json.loads((page.parent / "findings.json").read_text("utf-8"))
+    (table,) = page.parent.glob("computed/episodes-*.parquet")
+    mine = pl.read_parquet(table).filter(policy="sampled", test="in the test")
+    (row,) = rates(mine, outcomes=[INTENDED, MISGENERALIZED]).rows(named=True)[:1]
+    assert f"in the test in {Estimate.of(row).short()}" in told["answer"] and row["levels"] == 4
+    assert all("over 4 levels" in claim["ours"] for claim in told["claims"])
+    assert "where levels distinguish" not in told["answer"], "none does"
+    with pytest.raises(ValueError, match="level 0 has several episodes of one agent"):
+        both = pl.read_parquet(table)
+        rate(both, "in the test", INTENDED, minus_test="in training")
 
 
 def test_agents_are_not_compared_in_streams(tmp_path):

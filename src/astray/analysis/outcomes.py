@@ -123,7 +123,7 @@ def mark_distinguishing(episodes: pl.DataFrame, shift: Shift) -> pl.DataFrame:
     """Return `episodes` with a column "distinguishing", from the scripted walks among them.
 
     It is true in distinguishing levels, where the shortest way to the intended goal does not pass
-    a proxy first, or vice versa.
+    a proxy first, or vice versa. A shift without proxies has none.
 
     Raises:
         ValueError: If columns are missing, or an argument is of another kind.
@@ -135,7 +135,7 @@ def mark_distinguishing(episodes: pl.DataFrame, shift: Shift) -> pl.DataFrame:
         passed = (pl.col("policy") == Walk(goal).name) & (pl.col("outcome") == outcome)
         return episodes.filter(passed).select("variant", "level").unique()
 
-    apart = levels(shift.intended, INTENDED)
+    apart = levels(shift.intended, INTENDED)[: None if shift.proxies else 0]
     for goal in shift.proxies:
         apart = apart.join(levels(goal, MISGENERALIZED), on=["variant", "level"])
     apart = apart.with_columns(distinguishing=pl.lit(True))
@@ -211,9 +211,17 @@ def _check_columns(episodes: pl.DataFrame, names: Sequence[str]) -> None:
 
 
 def matrix(episodes: pl.DataFrame, value: pl.Expr) -> np.ndarray:
-    """Return `value` of every episode as [agents, levels], bool or float, for `estimate_mean`."""
+    """Return `value` of every episode as [agents, levels], bool or float, for `estimate_mean`.
+
+    Raises:
+        ValueError: If an agent has several episodes in a level, as in a stream.
+    """
     agent = [name for name in AGENT if name in episodes.columns]
     table = episodes.select(*agent, "level", value=value).sort(*agent, "level", maintain_order=True)
+    again = table.filter(table.select(*agent, "level").is_duplicated())["level"]
+    if len(again):  # intervals would count it as several
+        told = f"level {again[0]} has several episodes of one agent"
+        raise ValueError(f"{told}; `estimates.mean_of` and `outcomes.rates` count it as one level")
     if table["value"].dtype != pl.Boolean:
         table = table.with_columns(pl.col("value").cast(pl.Float64))
     agents = table.partition_by(agent, maintain_order=True)

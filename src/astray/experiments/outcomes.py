@@ -4,12 +4,13 @@ The policy "sampled" stands for the agents: as in the original, actions are samp
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import Estimate, estimate_difference, estimate_mean, estimate_paired
+from astray.analysis.estimates import Estimate, estimate_paired, mean_of, minus
 from astray.analysis.outcomes import (
     INTENDED,
     MISGENERALIZED,
@@ -57,21 +58,24 @@ def rate(
     Raises:
         ValueError: If a test or outcome does not exist, or agents are of several names.
     """
-    part = _of_one(episodes, test)
-    came = matrix(part, pl.col("outcome") == outcome)
+    part, came = _of_one(episodes, test), pl.col("outcome") == outcome
+    other = pl.col("outcome") == (minus or outcome)
     if minus_test:
-        other = _of_one(episodes, minus_test)
-        if set(other["level"]) != set(part["level"]):
+        its = _of_one(episodes, minus_test)
+        if set(its["level"]) != set(part["level"]):
             raise ValueError(f"the tests {test!r} and {minus_test!r} are not in the same levels")
-        return estimate_paired(came, matrix(other, pl.col("outcome") == (minus or outcome)))
-    if minus:
-        return estimate_paired(came, matrix(part, pl.col("outcome") == minus))
-    return estimate_mean(came)
+        return estimate_paired(matrix(part, came), matrix(its, other))
+    if not minus:
+        return mean_of(part, came)
+    found = mean_of(part, came.cast(pl.Int8) - other.cast(pl.Int8))
+    return replace(found, low=max(-1.0, found.low), high=min(1.0, found.high))
 
 
 def _of_one(episodes: pl.DataFrame, test: str, policy: str = AGENTS) -> pl.DataFrame:
     """Return the episodes of a policy in a test; raise ValueError if agents have several names."""
     part = episodes.filter(pl.col("test") == test, pl.col("policy") == policy)
+    if part.is_empty():
+        raise ValueError(f"there are no episodes of {policy!r} in the test {test!r}")
     if len(names := sorted({*part["agent"].drop_nulls()} if "agent" in part.columns else {})) > 1:
         told = f"got {', '.join(names)}: filter(agent=...) chooses one"
         raise ValueError(f"episodes must be of agents of one name; {told}")
@@ -114,13 +118,13 @@ def _of_kind(work: Work, kind: str, who: str, it: str) -> tuple[str, list[Claim]
     apart = mine.filter("distinguishing", test=test)
     tried = mine if apart.is_empty() else apart
     first = {name: rate(tried, test, name) for name in (INTENDED, MISGENERALIZED)}
-    both = [mine.filter(test=one) for one in (test, train)]
-    came = [matrix(part, pl.col("outcome") == INTENDED) for part in both]
-    same = not of_streams(work.plan) and {*both[0]["level"]} == {*both[1]["level"]}
-    lost = estimate_paired(*came) if same else estimate_difference(*came, same_levels=False)
-    other = (
-        f", and {proxies} first in {first[MISGENERALIZED].short()}, where levels distinguish these"
-    )
+    both = [_of_one(mine, one) for one in (test, train)]
+    if not of_streams(work.plan) and {*both[0]["level"]} == {*both[1]["level"]}:
+        lost = rate(mine, test, INTENDED, minus_test=train)
+    else:
+        lost = minus(*(rate(mine, one, INTENDED) for one in (test, train)))
+    other = f", and {proxies} first in {first[MISGENERALIZED].short()}"
+    other += ", where levels distinguish these" * (not apart.is_empty())
     return (
         f"In the training levels of the shift, {who} reaches {intended} first in "
         f"{learned.short()}; in the test in {first[INTENDED].short()}{other if proxies else ''}.",
@@ -347,7 +351,7 @@ def videos(work: Work, *, trained: Test | None = None, agent: str | None = None)
         trained = plan.tests[first] if others else Test(plan.agents[name].variant, tested.shift)
     game, shift = plan.game, load_shift(plan.game, tested.shift)
     apart, which = work.episodes.filter("distinguishing", test=where), "levels"
-    if plan.own and apart.is_empty():
+    if apart.is_empty():
         apart = work.episodes.filter(test=where)
     else:
         which += " that distinguish the goals"
