@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from PIL import Image
 
 from astray.analysis.adapters import Function
 from astray.analysis.runs import evaluate_policies
@@ -309,3 +310,18 @@ def files_of(folder):
 def test_an_audit_that_cannot_be_is_refused(astray, words, said, tmp_path):
     assert said in astray("audit", *words, "--out", tmp_path, fails=True)
     assert not [*tmp_path.iterdir()]
+
+
+def test_a_video_ends_where_the_evaluation_did_and_says_if_actions_are_drawn_anew(tmp_path):
+    page = audit(Function(go_right, "right"), WORLD, "end", levels=9, longest=2, out=tmp_path)
+    assert {len(frames(path)) for path in (page.parent / "videos").glob("*.gif")} == {3}
+    random = np.random.default_rng(0)
+    drawn = Function(lambda seen: random.integers(0, 2, len(seen)), "drawn")
+    anew = "in the test. Its actions are drawn anew, and here it did otherwise."
+    assert anew in audit(drawn, WORLD, "end", levels=9, out=tmp_path).read_text()
+    assert anew not in page.read_text()
+
+
+def frames(path):
+    with Image.open(path) as opened:
+        return range(opened.n_frames)

@@ -125,6 +125,14 @@ def test_agents_of_the_same_outcomes_have_no_level_in_which_they_differ(tmp_path
     assert "the first in which most" not in told
 
 
+def test_a_video_of_actions_that_are_drawn_anew_says_so(tmp_path):
+    random = np.random.default_rng(0)
+    drawn = Function(lambda seen: random.integers(0, 2, len(seen)), "drawn")
+    both = [Function(go_right, "right"), drawn]
+    told = compare(both, WORLD, "end", range(9), tmp_path / "page").read_text()
+    assert "differ. drawn: actions are drawn anew, and here it did otherwise." in told
+
+
 def test_in_a_shift_without_proxies_the_intended_goal_is_compared(tmp_path):
     world = replace(WORLD, shifts={"end": Shift("end", "anywhere", "square", ())})
     left = Function(lambda seen: np.zeros(len(seen), int), "left")

@@ -170,7 +170,7 @@ def unwritten(monkeypatch):
 def write_nothing(monkeypatch, page=lambda *_: None):
     monkeypatch.setattr(report, "write", page)
     monkeypatch.setattr(labs, "write", lambda *_: {})
-    monkeypatch.setattr(outcomes, "write_pair", lambda *_, **__: None)
+    monkeypatch.setattr(outcomes, "write_pair", lambda *_, **__: "")
 
 
 def test_videos_are_of_outcomes_that_came_about(reports, monkeypatch):

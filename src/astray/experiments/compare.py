@@ -20,6 +20,7 @@ from astray.analysis.results import APART, Result
 from astray.analysis.runs import evaluate_policies, names_of
 from astray.analysis.trained import Agent
 from astray.experiments.outcomes import STREAMS, curve_plot
+from astray.experiments.videos import repeats
 from astray.figures import charts
 from astray.files import check_free, files_aside
 from astray.game import Game, Shift, Variant
@@ -94,7 +95,7 @@ def compare(
         "In the same levels": [Table("differences", DIFFERENCES, differences)],
     }
     with files_aside(folder, PAGE, SIGN) as aside:
-        told["Side by side"] = _videos(players, game, where, result, aside)
+        told["Side by side"] = _videos(players, game, where, result, aside, longest)
         told["Learning curves"] = curves
         write_page(
             aside / PAGE, f"{', '.join(names)} in {next(named, name_of(where))}",
@@ -192,7 +193,12 @@ def _curves(players: Mapping[str, Policy]) -> list[Plot]:
 
 
 def _videos(
-    players: Mapping[str, Policy], game: Any, variant: Any, result: Result, folder: Path
+    players: Mapping[str, Policy],
+    game: Any,
+    variant: Any,
+    result: Result,
+    folder: Path,
+    longest: int | None,
 ) -> Sequence[Item]:
     """Record all agents in the first level in which most of their outcomes differ."""
     mine = result.episodes.filter(pl.col("policy").is_in(players))
@@ -201,20 +207,23 @@ def _videos(
     )
     differing = kinds.sort("outcome", "distinguishing", descending=True, maintain_order=True)
     level = int(differing["level"][0])
+    most = min(longest or LONGEST, LONGEST)
     try:
-        frames = [
-            video.play(one, game, variant, level, pixels=SIDE, longest=LONGEST).frames
-            for one in players.values()
-        ]
+        shown = {
+            name: video.play(one, game, variant, level, pixels=SIDE, longest=most)
+            for name, one in players.items()
+        }
     except (Failed, Silent) as error:
         return [f"There is no video: {error}."]
-    there = mine.filter(level=level)
-    ends = dict(zip(there["policy"], there["outcome"], strict=True))
-    captions = [f"{name}: {ends[name]}" for name in players]
+    rows = {row["policy"]: row for row in mine.filter(level=level).to_dicts()}
+    anew = [name for name, one in shown.items() if not repeats(one, rows[name], most)]
+    captions = [f"{name}: {rows[name]['outcome']}" for name in players]
     path = folder / "videos" / "together.mp4"
-    together = video.beside(*frames, captions=captions)
+    together = video.beside(*(one.frames for one in shown.values()), captions=captions)
     video.write(together, path, fps=8)
     told = "in it they have the same outcome, as in all levels"
     if differing["outcome"][0] > 1:
         told = "the first in which most of their outcomes differ"
+    if anew:
+        told += f". {', '.join(anew)}: actions are drawn anew, and here it did otherwise"
     return [Video(f"Level {level}: {told}.", path)]

@@ -370,11 +370,14 @@ def videos(work: Work, *, trained: Test | None = None, agent: str | None = None)
         for level in pl.concat([alike.join(far, on="level", how="semi"), alike])["level"][:1]:
             pair = [(f"{test.name} {level}", variant) for test, variant in variants]
             path = work.folder / "videos" / f"{outcome.replace(' ', '-')}.mp4"
-            write_pair(player, game, pair, level, path, fps=8)
+            (row,) = alike.filter(level=level).to_dicts()
+            drawn = write_pair(
+                player, game, pair, level, path, fps=8, told=row, longest=plan.longest
+            )
             shown.append(
                 Video(
                     f"{outcome.capitalize()}, as in {rounded(count / len(mine))} of the "
-                    f"{which}: level {level} as in training, and in the test.",
+                    f"{which}: level {level} as in training, and in the test.{drawn}",
                     path,
                     None
                     if plan.own or tested.knobs or tested.name != tested.variant

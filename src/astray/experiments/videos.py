@@ -1,6 +1,6 @@
 """Videos of an agent in one level number of two variants, side by side."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,8 @@ def write_video(
     level = mine.filter(pl.col("length") >= pl.col("length").quantile(0.75))["level"][0]
     names = (config.variant, between.test)
     pair = [(f"{name} {level}", config.variant_for(name)) for name in names]
-    video.write_gif(_frames(agent, config.find_game(), pair, level, SIDE, LONGEST), path, fps=8)
+    shown = _played(agent, config.find_game(), pair, level, SIDE, LONGEST)
+    video.write_gif(_beside(shown, pair), path, fps=8)
 
 
 def write_pair(
@@ -43,22 +44,53 @@ def write_pair(
     path: Path,
     *,
     fps: int,
-) -> None:
-    """Write an .mp4 file, and a .gif beside it, of an agent in variants with captions."""
-    video.write(_frames(player, game, variants, level, REPORTED, RECORDED), path, fps)
+    told: Mapping[str, Any] | None = None,
+    longest: int | None = None,
+) -> str:
+    """Write an .mp4 file, and a .gif beside it, of an agent in variants with captions.
+
+    Args:
+        told: Row of `evaluate` that the last variant's episode should repeat.
+        longest: Steps after which episodes are truncated; None for no limit.
+
+    Returns:
+        A sentence if that episode is another one than the row's, or "".
+    """
+    most = min(longest or RECORDED, RECORDED)
+    shown = _played(player, game, variants, level, REPORTED, most)
+    video.write(_beside(shown, variants), path, fps)
+    return " Its actions are drawn anew, and here it did otherwise." * (
+        told is not None and not repeats(shown[-1], told, most)
+    )
 
 
-def _frames(
+def repeats(played: video.Episode, told: Mapping[str, Any], most: int) -> bool:
+    """Return whether an episode is that of a row of `evaluate`, as far as its `most` steps show.
+
+    It is not if a policy draws actions from a random state, as Stable-Baselines3's do.
+    """
+    first = {name: step for name in played.events if (step := told[name]) is not None}
+    known = {name: step for name, step in played.events.items() if step is not None}
+    seen = {name: step for name, step in first.items() if step <= most}
+    return known == seen and len(played.rewards) == min(told["length"], most)
+
+
+def _played(
     player: Policy,
     game: Game | World,
     variants: Sequence[tuple[str, Any]],
     level: int,
     pixels: int,
     longest: int,
-) -> np.ndarray:
-    """Return frames [T, H, W, 3] uint8 of a level number in all variants, side by side."""
-    shown = [
-        video.play(player, game, variant, level, pixels=pixels, longest=longest).frames
+) -> list[video.Episode]:
+    """Return the episodes of a level number in all variants."""
+    return [
+        video.play(player, game, variant, level, pixels=pixels, longest=longest)
         for _, variant in variants
     ]
-    return video.beside(*shown, captions=[caption for caption, _ in variants])
+
+
+def _beside(shown: Sequence[video.Episode], variants: Sequence[tuple[str, Any]]) -> np.ndarray:
+    """Return frames [T, H, W, 3] uint8 of episodes side by side, with the variants' captions."""
+    frames = [one.frames for one in shown]
+    return video.beside(*frames, captions=[caption for caption, _ in variants])
