@@ -149,6 +149,19 @@ def layout(env):
     return Layout(np.ones((1, rooms.CELLS), bool), (env.x, 0), there)
 
 
+def test_a_video_of_actions_that_are_drawn_anew_says_so(monkeypatch):
+    world, random, told = replace(rooms.WORLD, cells=layout), np.random.default_rng(0), []
+    beside = lambda *_, captions: told.append(captions[0])  # noqa: E731
+    monkeypatch.setattr(agency.video, "beside", beside)
+    drawn = Function(lambda seen: random.integers(0, 2, len(seen)))
+    for policy in (drawn, Walk("end")):
+        how = policy, world, world.variant("anywhere")
+        (one, *_) = play(*how, range(12), world.shifts["end"])
+        posterior_video(*how, one, pixels=64)
+        told.append(f"level {one.level}")
+    assert told[0] == f"{told[1]}, drawn anew: another episode" and told[2] == told[3]
+
+
 def test_episodes_of_a_world_that_tells_its_cells_are_measured():
     world = replace(rooms.WORLD, cells=layout)
     found = play(Walk("end"), world, world.variant("anywhere"), range(12), world.shifts["end"])

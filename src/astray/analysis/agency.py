@@ -67,18 +67,14 @@ def play(
         ValueError: If there are no `cells`, or episodes may last for ever and `longest` is None.
     """
     check_ending(game, variant, longest)  # before a game compiles
-    found: Game | World
+    found, cells_of = _followed(game)
     if isinstance(game, World):
         begun = _layouts(game, game.variant(variant), levels)
-        places = {name: partial(_coordinate, game, k) for k, name in enumerate(PLACE)}
-        found = replace(game, every_step=True, measures={**game.measures, **places})
         numbers = [*map(int, levels)]
-        cells_of = partial(map, lambda s: tuple(int(s[name]) for name in PLACE))  # pyrefly: ignore
     else:
-        assert not isinstance(variant, WorldVariant)
-        found = games.find(game)
+        assert isinstance(found, Game) and not isinstance(variant, WorldVariant)
         free, states = found.cells.free, initial_states(found, variant, levels)  # which compiles
-        numbers, cells_of = states["level"].tolist(), partial(_cells, found)
+        numbers = states["level"].tolist()
         begun = [
             Layout(free(s), cell, named_places(found, s, shift))
             for s, cell in zip(states, _cells(found, states), strict=True)
@@ -89,6 +85,15 @@ def play(
             ways[level].append(cell)
     played = map(partial(_played, found, shift), numbers, begun, ways)
     return [one for one in played if one]
+
+
+def _followed(game: str | Game | World) -> tuple[Game | World, Callable[[Any], Any]]:
+    """Return a game whose states tell the agent's cell, and a function of states [N] that does."""
+    if not isinstance(game, World):
+        return (found := games.find(game)), partial(_cells, found)
+    places = {name: partial(_coordinate, game, k) for k, name in enumerate(PLACE)}
+    followed = replace(game, every_step=True, measures={**game.measures, **places})
+    return followed, lambda states: [tuple(int(s[name]) for name in PLACE) for s in states]
 
 
 def _layouts(world: World, variant: WorldVariant, levels: Any) -> list[Layout]:
@@ -322,12 +327,15 @@ def posterior_video(
 ) -> np.ndarray:
     """Return a video [T + 1, H, W, 3] uint8 of an episode beside the posterior over target cells.
 
-    It ends at the last goal that was reached.
+    It ends at the last goal that was reached. It says if the policy drew other actions than before.
     """
-    steps = len(played.cells)
-    frames = video.play(
-        policy, game, variant, played.level, pixels=pixels, longest=max(1, steps - 1)
-    ).frames[:steps]
+    steps, (followed, cells_of) = len(played.cells), _followed(game)
+    again = video.play(
+        policy, followed, variant, played.level, pixels=pixels, longest=max(1, steps - 1)
+    )
+    frames, told = again.frames[:steps], f"level {played.level}"
+    if [*cells_of(again.states)][:steps] != played.cells:
+        told += ", drawn anew: another episode"
     growth = measure_online(played.episode, replace(options, goals="accessible"))
     moved = [here != there for here, there in itertools.pairwise(played.cells)]
     moves = np.cumsum([0, *moved])  # standing still is no step of a trajectory
@@ -342,7 +350,7 @@ def posterior_video(
     def caption(t: int) -> str:
         return f"where to? agent: {100 * growth.agent[moves[t]]:.0f} %"
 
-    return video.beside(frames, np.stack(maps), captions=[f"level {played.level}", caption])
+    return video.beside(frames, np.stack(maps), captions=[told, caption])
 
 
 def heat(world: Gridworld, belief: np.ndarray, here: int, pixels: int) -> np.ndarray:
