@@ -189,6 +189,7 @@ class World:
         workers: Whether each environment has its own process.
         patience: Seconds to wait for an environment that does not answer.
         repeats: Whether an episode is determined by its level and the actions, which is checked.
+            Otherwise policies meet other levels of one number, and none distinguishes goals.
         level_key: Key of info in which a reset reports the number of its level, for environments
             that choose their levels themselves, such as EnvPool's. They are played as streams:
             factories take `stream`, the number of an environment, and nothing is compared level by

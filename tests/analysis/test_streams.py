@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import polars as pl
@@ -71,11 +72,11 @@ def test_no_level_of_a_stream_distinguishes_goals():
 
 
 def test_an_audit_of_streams_says_so_and_has_no_ghost_and_no_videos(tmp_path):
-    with pytest.raises(ValueError, match="streams has no ghosts: the environments choose"):
+    with pytest.raises(ValueError, match="streams has no ghosts: its levels do not repeat"):
         audit(RIGHT, STREAMS, "end", ghost="end", out=tmp_path)
     page = audit(RIGHT, STREAMS, "end", levels=30, out=tmp_path)
     answer = json.loads((page.parent / "findings.json").read_text("utf-8"))["answer"]
-    assert "These are streams: the environments choose their levels" in answer
+    assert "streams is played as streams: its levels do not repeat" in answer
     assert not (page.parent / "videos").exists()
 
 
@@ -89,6 +90,22 @@ def test_an_audit_of_streams_without_proxies_compares_rates_of_other_levels(tmp_
     rates = [mean_of(mine.filter(test=test), came) for test in ("in the test", "in training")]
     found = minus(*rates)
     assert found.percent() in lost["ours"] and found.mean < 0
+
+
+def test_levels_that_do_not_repeat_distinguish_no_goals_and_are_not_compared(tmp_path):
+    drawn = np.random.default_rng(0)
+
+    class Anew(Room):
+        def reset(self, *, seed=None, options=None):
+            return super().reset(seed=int(drawn.integers(1000)))
+
+    variants = {name: partial(Anew, name) for name in WORLD.variants}
+    world = replace(WORLD, variants=variants, repeats=False)
+    assert not evaluate_policies([RIGHT], world, "end", range(30)).episodes["distinguishing"].any()
+    with pytest.raises(ValueError, match="room has no levels to compare agents in: its levels do"):
+        compare([RIGHT, Random()], world, "end", range(8), tmp_path)
+    with pytest.raises(ValueError, match="room has no ghosts: its levels do not repeat"):
+        audit(RIGHT, world, "end", ghost="end", out=tmp_path)
 
 
 def test_a_level_that_a_stream_has_often_counts_once_in_findings(tmp_path):
@@ -114,7 +131,7 @@ def test_a_level_that_a_stream_has_often_counts_once_in_findings(tmp_path):
 
 
 def test_agents_are_not_compared_in_streams(tmp_path):
-    with pytest.raises(ValueError, match="streams has no levels to compare agents in: the env"):
+    with pytest.raises(ValueError, match="streams has no levels to compare agents in: its levels"):
         compare([RIGHT, Random()], STREAMS, "end", range(8), tmp_path)
 
 

@@ -317,7 +317,7 @@ def test_a_video_ends_where_the_evaluation_did_and_says_if_actions_are_drawn_ane
     assert {len(frames(path)) for path in (page.parent / "videos").glob("*.gif")} == {3}
     random = np.random.default_rng(0)
     drawn = Function(lambda seen: random.integers(0, 2, len(seen)), "drawn")
-    anew = "in the test. Its actions are drawn anew, and here it did otherwise."
+    anew = "in the test. Played again for this video, it did otherwise."
     assert anew in audit(drawn, WORLD, "end", levels=9, out=tmp_path).read_text()
     assert anew not in page.read_text()
 

@@ -130,7 +130,7 @@ def test_a_video_of_actions_that_are_drawn_anew_says_so(tmp_path):
     drawn = Function(lambda seen: random.integers(0, 2, len(seen)), "drawn")
     both = [Function(go_right, "right"), drawn]
     told = compare(both, WORLD, "end", range(9), tmp_path / "page").read_text()
-    assert "differ. drawn: actions are drawn anew, and here it did otherwise." in told
+    assert "differ. Played again for this video, drawn did otherwise." in told
 
 
 def test_in_a_shift_without_proxies_the_intended_goal_is_compared(tmp_path):

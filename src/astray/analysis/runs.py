@@ -348,6 +348,6 @@ def play_all(
         for run, seed, steps in [origin or (None, None, None)]
     ]
     labelled = label(pl.concat(parts), game, between)
-    if isinstance(game, World) and game.level_key is not None:  # policies met other levels
+    if isinstance(game, World) and not game.repeats:  # policies met other levels
         return labelled.with_columns(distinguishing=pl.lit(False))
     return mark_distinguishing(labelled, between)

@@ -98,7 +98,7 @@ def audit(
     variants = {TRAIN: between.train, TEST: between.test}
     if ghost is not None:
         one_of("variant as a ghost", ghost, played.variants)
-        if isinstance(played, World) and played.level_key is not None:
+        if isinstance(played, World) and not played.repeats:
             raise ValueError(f"{played.name} has no ghosts: {outcomes.STREAMS}")
         variants[GHOST] = ghost
     plan = Plan(
@@ -175,7 +175,7 @@ def findings(work: Work) -> Findings:
     result = rated(told, work.plan.game, shift, [name])
     answer = f"{result.verdict} {usual.answer}"
     if outcomes.of_streams(work.plan):
-        answer += f" These are streams: {outcomes.STREAMS}."
+        answer += f" {work.plan.game.name} is played as streams: {outcomes.STREAMS}."
     tables = [*usual.tables]
     if rewards := work.plan.rewards:
         means = amounts(told, ["return", *rewards]).rename({"measure": "reward"})

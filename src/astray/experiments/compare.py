@@ -74,7 +74,7 @@ def compare(
     check_free(folder := path_of("folder", folder), PAGE, SIGN, ("figures", "videos"))
     between, rules = load_shift(game, shift), world.find(game)
     where: Any = variant or between.test
-    if isinstance(rules, World) and rules.level_key is not None:
+    if isinstance(rules, World) and not rules.repeats:
         raise ValueError(f"{rules.name} has no levels to compare agents in: {STREAMS}")
     for one in policies:
         rules.drawn(one.art, rules.variant(where))  # in the videos, also where it sees symbols
@@ -225,5 +225,5 @@ def _videos(
     if differing["outcome"][0] > 1:
         told = "the first in which most of their outcomes differ"
     if anew:
-        told += f". {', '.join(anew)}: actions are drawn anew, and here it did otherwise"
+        told += f". Played again for this video, {', '.join(anew)} did otherwise"
     return [Video(f"Level {level}: {told}.", path)]

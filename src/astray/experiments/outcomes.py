@@ -35,8 +35,7 @@ from astray.validation import brief
 from astray.world import Failed, Silent, World
 
 STREAMS = (
-    "the environments choose their levels, so that none is played again, and nothing is compared "
-    "level by level"
+    "its levels do not repeat, so that none is played again, and nothing is compared level by level"
 )
 AGENTS = "sampled"
 LEARNED = 0.8  # rate of the intended goal in training above which an agent has learned

@@ -59,7 +59,7 @@ def write_pair(
     most = min(longest or RECORDED, RECORDED)
     shown = _played(player, game, variants, level, REPORTED, most)
     video.write(_beside(shown, variants), path, fps)
-    return " Its actions are drawn anew, and here it did otherwise." * (
+    return " Played again for this video, it did otherwise." * (
         told is not None and not repeats(shown[-1], told, most)
     )
 
@@ -67,7 +67,8 @@ def write_pair(
 def repeats(played: video.Episode, told: Mapping[str, Any], most: int) -> bool:
     """Return whether an episode is that of a row of `evaluate`, as far as its `most` steps show.
 
-    It is not if a policy draws actions from a random state, as Stable-Baselines3's do.
+    It is not if a policy draws actions from a random state, as Stable-Baselines3's do, or if the
+    level does not repeat.
     """
     first = {name: step for name in played.events if (step := told[name]) is not None}
     known = {name: step for name, step in played.events.items() if step is not None}
