@@ -99,6 +99,9 @@ def findings(work: Work) -> Findings:
     """Return the usual findings of a plan, for each kind of agents.
 
     Its first two tests are `tests_of` a shift; others have their place in the tables.
+
+    Raises:
+        ValueError: If agents have no episodes in one of these.
     """
     kinds = [*work.plan.agents, *work.plan.own]
     names = {name: (name, name) for name in kinds} if kinds[1:] else {kinds[0]: ("the agent", "it")}
