@@ -1,6 +1,7 @@
 """Sweeps: what is set, what is trained once, and what the outcomes are of."""
 
 import itertools
+import json
 import re
 import shlex
 from dataclasses import replace
@@ -18,6 +19,7 @@ from astray.experiments.sweep.report import command
 from astray.experiments.sweep.run import run_sweep
 from astray.experiments.sweep.settings import Sweep, axes
 from astray.figures.grids import cells
+from astray.game import Shift
 from astray.training.config import PRESETS, Config
 from astray.training.loop import train
 from astray.validation import read_value
@@ -200,6 +202,17 @@ def test_an_axis_leaves_a_measure_of_its_name_as_it_is(trained, tmp_path):
     episodes = pl.read_parquet(tmp_path / "outcomes.parquet")
     assert (episodes["steps"] == episodes["length"]).all()
     assert set(episodes["training_steps"]) == {16, 32}
+
+
+def test_a_sweep_of_a_shift_without_proxies_tells_of_the_intended_goal(trained, tmp_path):
+    shifts = {"end": Shift("end", "anywhere", "square", ())}
+    register(world := replace(WORLD, name="room-of-one-goal", shifts=shifts))
+    base = Config(world, "end", steps=16, num_envs=2, num_steps=8, minibatches=1)
+    page = run_sweep(Sweep(base, {"learning_rate": [1e-4, 5e-4]}, levels=5), tmp_path)
+    told = json.loads((page.parent / "findings.json").read_text("utf-8"))["answer"]
+    assert told.startswith("“square” is reached first in the test least often with learning_rate")
+    drawn = pl.read_parquet(tmp_path / "figures" / "learning-rate.parquet")
+    assert {*drawn["what"]} == {"intended goal, in training", "intended goal, in the test"}
 
 
 def test_the_verb_sweeps_what_it_is_given(astray, trained, tmp_path):

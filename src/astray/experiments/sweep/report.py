@@ -7,7 +7,7 @@ from typing import Any
 
 import polars as pl
 
-from astray.analysis.outcomes import INTENDED, MISGENERALIZED, rates
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, load_shift, rates
 from astray.analysis.runs import LEVELS_PLAYED
 from astray.estimate import Estimate
 from astray.experiments.outcomes import AGENTS
@@ -65,21 +65,29 @@ def command(sweep: Sweep) -> str:
 
 def findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findings:
     """Return the figures, and a sentence on the extreme combinations."""
-    agents = table.filter(policy=AGENTS)
-    asked = agents.filter(test=TEST, outcome=MISGENERALIZED).sort("mean", maintain_order=True)
+    agents, (outcome, goal) = table.filter(policy=AGENTS), _asked(sweep)
+    asked = agents.filter(test=TEST, outcome=outcome).sort("mean", maintain_order=True)
     ends = [
         f"{', '.join(f'{named(x)} {row[x]}' for x in sweep.varied())}: {Estimate.of(row).short()}"
         for row in (asked.row(0, named=True), asked.row(-1, named=True))
     ]
     settings = {name: str(x) for name, x in sweep.base.flat().items() if name not in sweep.axes}
     return Findings(
-        answer=f"The proxy is reached first in the test least often with {ends[0]}, and most often "
+        answer=f"{goal} is reached first in the test least often with {ends[0]}, and most often "
         f"with {ends[1]}.",
         claims=[],
         plots=list(_plots(sweep, episodes)),
         tables=[Table("agents", "Outcomes of the agents", agents.drop("policy"))],
         settings=settings | {"seeds": str(sweep.seeds), "levels": str(sweep.levels)},
     )
+
+
+def _asked(sweep: Sweep) -> tuple[str, str]:
+    """Return the outcome that is compared in the test, of the proxies if any, and its goal."""
+    plan = next(iter(sweep.plans().values()))
+    shift = load_shift(plan.game, plan.tests[TEST].shift)
+    proxy = MISGENERALIZED, "The proxy"
+    return proxy if shift.proxies else (INTENDED, f"“{shift.intended}”")
 
 
 def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
@@ -91,7 +99,7 @@ def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
             rates(mine.filter(test=test), pair, [outcome])
             .rename({"outcome": "what"})
             .with_columns(what=pl.lit(f"{outcome}, {test}"))
-            for outcome, test in ((INTENDED, TRAINING), (MISGENERALIZED, TEST))
+            for outcome, test in ((INTENDED, TRAINING), (_asked(sweep)[0], TEST))
         )
         name = "-".join(one.replace(".", "-").replace("_", "-") for one in pair)
         others = [one for one in several if one not in pair]
