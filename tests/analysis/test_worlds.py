@@ -307,6 +307,11 @@ def test_an_episode_has_every_part_of_what_it_showed():
     assert two.tolist() == [2] * len(room)
 
 
+def test_states_of_a_video_have_the_measures_of_every_step():
+    told = video.play(RIGHT, replace(WORLD, measures={"steps": lambda env: env.steps}), "end", 3)
+    assert told.states["steps"].tolist() == [*range(len(told.states))]
+
+
 def test_images_of_several_shapes_are_no_video():
     class Growing(Room):
         def render(self):

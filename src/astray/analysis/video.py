@@ -67,6 +67,7 @@ def play(
     bounded("pixels", pixels, *PICTURES)
     check_policy(policy)
     if isinstance(game, World):
+        game = game.in_every_step
         played, frames = _rendered(policy, game, game.variant(variant), level, pixels, longest)
     else:
         chosen = {"": level} if isinstance(level, Level) else [level]
