@@ -175,6 +175,10 @@ def test_episodes_of_a_world_that_tells_its_cells_are_measured():
     halved = replace(world, cells=lambda env: layout(env)._replace(agent=(env.x + 0.5, 0)))
     with pytest.raises(ValueError, match="a cell must be two integers, x and y; got"):
         play(Walk("end"), halved, world.variant("anywhere"), range(3), world.shifts["end"])
+    later = lambda env: layout(env)._replace(agent=(env.x + 0.5 if env.steps else env.x, 0))  # noqa: E731
+    with pytest.raises(ValueError, match=r"step 1: .*a cell must be two integers"):
+        halved = replace(world, cells=later)
+        play(Walk("end"), halved, world.variant("anywhere"), range(3), world.shifts["end"])
     with pytest.raises(ValueError, match="unknown measure 'Paper'; there are: paper, calibrated"):
         assess_policy(Walk("end"), world, world.variant("end"), "end", [1], "Paper")
     with pytest.raises(ValueError, match="'room' has no cells, which this needs: World"):

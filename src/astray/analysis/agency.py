@@ -121,7 +121,7 @@ def _layouts(world: World, variant: WorldVariant, levels: Any) -> list[Layout]:
 
 def _coordinate(world: World, axis: int, env: Any) -> float:
     assert world.cells is not None
-    return world.cells(env)[1][axis]
+    return check_cell(world.cells(env)[1])[axis]
 
 
 def _cells(game: Game, states: np.ndarray) -> list[Cell]:
