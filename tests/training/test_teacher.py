@@ -299,11 +299,16 @@ def test_what_follows_the_lessons_is_ppo_to_the_last_digit():
         assert trainer.player.normaliser.count > 1000
 
 
-@pytest.mark.parametrize("lessons", ["episodes", "anywhere"])
+THIEF = {"game": "keys", "variant": "many-chests", "validation": None, "knobs": {}}
+
+
+@pytest.mark.parametrize(
+    "change", [{}, {"lessons": "anywhere"}, THIEF], ids=["episodes", "anywhere", "thief"]
+)
 def test_a_resumed_student_of_the_solver_is_the_one_that_was_not_stopped(
-    lessons, tmp_path, monkeypatch
+    change, tmp_path, monkeypatch
 ):
-    config = replace(SOLVED, steps=2048, taught=0.5, lessons=lessons, checkpoint_every=3)
+    config = replace(SOLVED, steps=2048, taught=0.5, checkpoint_every=3, **change)
     train(config, tmp_path / "whole", progress=False)
     train_to_first_checkpoint(config, tmp_path / "parts", monkeypatch)
     train(config, tmp_path / "parts", progress=False)

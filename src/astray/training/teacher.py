@@ -152,6 +152,11 @@ class Solver(Lessons):
         self.goal = config.intended_goal()
         self.experts: list[Callable[[Any], int] | None] = [None] * len(rollout.player.images)
 
+    def begin(self, steps: int) -> None:
+        """Plan anew, as a training that was resumed must do."""
+        super().begin(steps)
+        self.experts = [None] * len(self.experts)
+
     def says(self, t: int, begins: np.ndarray) -> Tensor:
         player = self.rollout.player
         states, shape = trusted(player.envs[0].get_state()), self._wanted.shape[1:]
