@@ -12,6 +12,7 @@ from astray.record import LEVELS
 VIEW = 256  # pixels a side of the agent's view, enlarged
 GAP, TEXT = 16, 18  # pixels
 STEPS_PER_SECOND = 15
+KNOWN = {"left", "right", "down", "up", "stay"}  # have keys of their own
 HELP = (
     "arrows or WASD: move",
     "space: wait",
@@ -80,10 +81,15 @@ def _action(env: GameVectorEnv, pressed, pygame) -> int | None:
         pressed[pygame.K_DOWN] or pressed[pygame.K_s]
     )
     words = [("left", "", "right")[across + 1], ("down", "", "up")[up + 1]]
-    name = "-".join(word for word in words if word)
-    if name:
-        return env.game.actions.index(name)
-    return env.game.actions.index("stay") if pressed[pygame.K_SPACE] else None
+    words = [word for word in (*words, "stay" * pressed[pygame.K_SPACE]) if word]
+    further = [name for k, name in enumerate(_further(env.game)) if pressed[pygame.K_1 + k]]
+    names = ("-".join(words[:2]), *words, *further)  # not all games have diagonals
+    return next((env.game.actions.index(n) for n in names if n in env.game.actions), None)
+
+
+def _further(game: Game) -> list[str]:
+    """Return the actions, such as to pick up, that keys from 1 on stand for."""
+    return [name for name in game.actions if len(name) > 1 and not KNOWN & {*name.split("-")}]
 
 
 def _lines(env: GameVectorEnv, total: float, ended: bool) -> list[str]:
@@ -92,7 +98,8 @@ def _lines(env: GameVectorEnv, total: float, ended: bool) -> list[str]:
     events = [f"{name}: step {s[name]}" for name in env.game.events if s[name] >= 0]
     state = "ended; R or N" if ended else f"step {s.time} of {s.time_limit}"
     level = f"level {s.level}" if s.level >= 0 else "a level from a file"
-    return [level, state, f"return {total:g}", *events, "", *HELP]
+    further = [f"{k}: {name}" for k, name in enumerate(_further(env.game), 1)]
+    return [level, state, f"return {total:g}", *events, "", *HELP, *further]
 
 
 def _paint(screen, env: GameVectorEnv, seen: np.ndarray, lines: list[str], font, pygame) -> None:

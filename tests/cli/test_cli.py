@@ -5,8 +5,10 @@ import json
 import shutil
 import subprocess
 import sys
+from collections import defaultdict
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -341,6 +343,19 @@ def test_time_goes_on_without_keys_where_things_move(game, variant, steps, monke
     assert told[:3] == [0, 0, 1] and told[5] == steps
 
 
+def test_keys_press_the_actions_that_a_game_has():
+    pygame = pytest.importorskip("pygame")
+    from astray import play
+
+    env = SimpleNamespace(game=games.find("pottery"))
+    words = [(), ("SPACE",), ("LEFT",), ("a", "w"), ("UP", "SPACE"), ("1",), ("2",), ("3",)]
+    pressed = [{getattr(pygame, f"K_{key}") for key in keys} for keys in words]
+    keys = [defaultdict(bool, dict.fromkeys(held, True)) for held in pressed]
+    found = [play._action(env, held, pygame) for held in keys]
+    names = [None if action is None else env.game.actions[action] for action in found]
+    assert names == [None, "stay", "left", "left", "up", "pick", "drop", None]
+
+
 def test_levels_played_are_counted_on_standard_error(monkeypatch, capsys):
     monkeypatch.setattr(acting, "EVERY", 0)
     words = ["astray", "evaluate", "maze-corner", "--levels", "0:3", "--batch", "1", "--json"]
@@ -418,6 +433,7 @@ def test_it_tells_agents_from_devices(astray, run_folder, tmp_path):
 def test_help_and_verbs_of_levels_do_not_wait_for_torch():
     program = """
 import sys
+from collections import defaultdict
 from itertools import pairwise
 from astray.cli import verbs
 for name in verbs.VERBS:
