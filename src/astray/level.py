@@ -242,6 +242,7 @@ class Level:
         Args:
             at: Cell of the object; needed if there are several.
         """
+        one_of("object", name, self.game.editing.OBJECTS)  # a level without its agent is none
         x, y = self._one(name, at)
         cells = self.cells.copy()
         cells[y, x] = self.game.editing.LEGEND[EMPTY]
@@ -249,7 +250,7 @@ class Level:
 
     def added(self, name: str, at: Cell) -> Level:
         """Return the level with one more object, in the cell `at`."""
-        self.where(name)
+        one_of("object", name, self.game.editing.OBJECTS)
         self._check_free(at)
         cells = self.cells.copy()
         cells[at[1], at[0]] = self.game.editing.LEGEND[self.game.editing.OBJECTS[name]]

@@ -135,7 +135,10 @@ def test_objects_are_moved_removed_and_added(game, variant):
         with pytest.raises(ValueError, match=f"which {name}"):
             level.removed(name, (0, 0) if (0, 0) not in level.where(name) else (1, 0))
     with pytest.raises(ValueError, match="unknown object 'squid'; there are: agent"):
-        level.removed("squid")
+        level.where("squid")
+    for edit in (level.removed, lambda name: level.added(name, (1, 1))):
+        with pytest.raises(ValueError, match="unknown object 'agent'; there are: "):
+            edit("agent")
     with pytest.raises(ValueError, match="outside"):
         level.moved("agent", (-1, 3))
 
