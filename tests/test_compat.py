@@ -48,6 +48,15 @@ def test_what_is_returned_has_procgens_shapes_and_types():
     assert infos[0].keys() == {"prev_level_seed", "prev_level_complete", "level_seed"}
 
 
+@pytest.mark.parametrize("name", ["pottery/corner", "boat/race"])
+def test_a_game_with_goals_that_are_counts_has_levels_that_are_complete_or_not(name):
+    env = ProcgenEnv(2, name, art="own", rand_seed=1)
+    actions = [env.action_space.n - 1, -1]
+    for _ in range(3):
+        _, _, done, infos = env.step(np.array(actions))
+        assert [info["prev_level_complete"] for info in infos] == [0, 0] and done[1]
+
+
 def test_levels_come_in_the_order_of_a_mersenne_twister():
     # A generator of generators, each drawing a word modulo how many levels there are.
     first = np.random.RandomState(3)

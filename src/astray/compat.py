@@ -137,8 +137,8 @@ class ProcgenGym3Env:
         self._complete = np.zeros(num, np.uint8)
         self._reward, self._first = np.zeros(num, np.float32), np.ones(num, bool)
         self._seen, _ = self.env.reset(seed=0, options={"level": self._level})
-        over = (self.env.game.shifts[name].intended for name in self.env.game.shifts)
-        self._goals = sorted({self.env.game.event(goal) for goal in over})
+        goals, over = self.env.game.event_goals, self.env.game.shifts.values()
+        self._goals = sorted({goals[s.intended] for s in over if s.intended in goals})
 
     def observe(self) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
         """Return rewards [num] float32 of the last step, observations, first-step flags [num]."""
