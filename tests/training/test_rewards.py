@@ -81,6 +81,13 @@ def test_a_reward_is_given_the_actions_of_the_environment_in_training_too():
         assert told.metrics["training/reward_per_step"] == pytest.approx(1 / 2 + 1 / 3, abs=0.2)
 
 
+@pytest.mark.parametrize("game, variant", [(WORLD, "anywhere"), ("maze", "anywhere-small")])
+def test_a_reward_is_told_the_numbers_of_levels_in_evaluation_as_in_training(game, variant):
+    rewards = {"numbers": lambda step: step.level}
+    table = evaluate(Random(), game, variant, range(70, 60, -1), batch=3, rewards=rewards)
+    assert (table["numbers"] == table["level"] * table["length"]).all()
+
+
 def test_an_agent_learns_what_a_reward_of_ones_own_pays():
     config = Config(WORLD, "end", num_envs=8, num_steps=32, minibatches=4, steps=20 * 256)
     *_, last = iterate(config, reward=leftward)

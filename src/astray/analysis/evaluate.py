@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,7 +53,8 @@ def evaluate(
         until: Events of the game that end an episode.
         longest: Steps after which an episode is truncated; None for no limit.
         rewards: Rewards of your own, of which the episodes' returns become columns: name ->
-            function of an `acting.Step` that returns its rewards [n].
+            function of an `acting.Step` that returns its rewards [n]. `step.level` has the levels'
+            numbers, as in training.
 
     Raises:
         ValueError: If there are no levels, or an argument is invalid.
@@ -70,7 +72,8 @@ def evaluate(
     for step in steps(policy, played, variant, levels, batch=batch, until=until, longest=longest):
         episodes.add(step)
         for name, totals in own.items():
-            totals[step.level] += paid(rewards[name], step)  # pyrefly: ignore
+            numbered = replace(step, level=step.before["level"])  # as in training
+            totals[step.level] += paid(rewards[name], numbered)  # pyrefly: ignore
     if told := unreported(game):
         warnings.warn(told, Unreported, stacklevel=2)
     table = episodes.table().select(pl.lit(policy.name).alias("policy"), pl.all())
