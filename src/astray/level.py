@@ -241,6 +241,9 @@ class Level:
 
         Args:
             at: Cell of the object; needed if there are several.
+
+        Raises:
+            ValueError: If there is no such object. The agent is none.
         """
         one_of("object", name, self.game.editing.OBJECTS)  # a level without its agent is none
         x, y = self._one(name, at)
@@ -249,7 +252,11 @@ class Level:
         return replace(self, cells=cells, looks=self._details((x, y)))._uncovered()
 
     def added(self, name: str, at: Cell) -> Level:
-        """Return the level with one more object, in the cell `at`."""
+        """Return the level with one more object, in the cell `at`.
+
+        Raises:
+            ValueError: If there is no such object, or the cell is not empty.
+        """
         one_of("object", name, self.game.editing.OBJECTS)
         self._check_free(at)
         cells = self.cells.copy()
