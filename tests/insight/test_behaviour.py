@@ -3,10 +3,19 @@
 import numpy as np
 import polars as pl
 import pytest
+from sklearn.metrics import roc_auc_score
 
 from astray import games
 from astray.acting import initial_states
-from astray.insight.behaviour import level_features, predict, variance_inflation
+from astray.insight import behaviour
+from astray.insight.behaviour import area_under, level_features, predict, variance_inflation
+
+
+@pytest.fixture(autouse=True)
+def _few_resamples(monkeypatch):
+    """Each takes a fit, and here a few show as much as hundreds."""
+    monkeypatch.setattr(behaviour, "RESAMPLES", 40)
+    monkeypatch.setattr(behaviour, "SUBSETS", 40)
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +37,13 @@ def test_the_cause_is_found_and_the_rest_is_not(caused):
     assert found.auc.low > 0.8 and found.accuracy.low > found.always
     assert of["other"]["alone"] < 0.56 < 0.75 < of["alike"]["alone"]
     assert found.levels == 1500 and found.accuracy.levels == 1500
+
+
+def test_an_area_under_the_curve_is_scikit_learns():
+    random = np.random.default_rng(0)
+    y, scores = random.random(60) < 0.3, random.integers(8, size=60) / 7  # many are the same
+    assert area_under(y, scores) == pytest.approx(roc_auc_score(y, scores))
+    assert area_under(y.astype(int), -scores) == pytest.approx(1 - area_under(y, scores))
 
 
 def test_variance_inflation_is_one_over_what_others_leave(caused):
