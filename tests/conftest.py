@@ -59,6 +59,13 @@ def reference() -> Path:
 
 
 @pytest.fixture
+def coarse(monkeypatch):
+    """Figures have few pixels, which takes half the time."""
+    style = pytest.importorskip("astray.figures.style")
+    monkeypatch.setitem(style.STYLE, "savefig.dpi", 40)
+
+
+@pytest.fixture
 def full_disk():
     """No file can grow beyond some bytes, as on a full disk."""
     resource = pytest.importorskip("resource")

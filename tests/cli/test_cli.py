@@ -407,14 +407,13 @@ def test_no_seed_is_trained_if_a_later_one_cannot_be(astray, run_folder, tmp_pat
 
 
 def test_it_tells_agents_from_devices(astray, run_folder, tmp_path):
-    told = json.loads(astray("agency", run_folder, "--levels", "0:12", "--json"))
+    words = ("agency", run_folder, "--levels", "0:4", "--set", "time_limit=12")
+    told = json.loads(astray(*words, "--json"))
     assert set(told["explanations"]) == {"cheese", "corner", "another cell", "device"}
-    assert told["episodes"] == 12 and told["moves"] >= told["decisions"]
+    assert told["episodes"] == 4 and told["moves"] >= told["decisions"]
     assert sum(one["mean"] for one in told["explanations"].values()) == pytest.approx(1)
-    shown = astray(
-        "agency", run_folder, "--levels", "0:12", "--measure", "paper", "--out", tmp_path / "told"
-    )
-    assert "another cell" in shown and "12 episodes" in shown
+    shown = astray(*words, "--measure", "paper", "--out", tmp_path / "told")
+    assert "another cell" in shown and "4 episodes" in shown
     assert {path.name for path in (tmp_path / "told").iterdir()} == {
         "agency.json",
         "episodes.parquet",
@@ -422,9 +421,9 @@ def test_it_tells_agents_from_devices(astray, run_folder, tmp_path):
         "posterior.mp4",
         "posterior.png",
     }
-    assert json.loads((tmp_path / "told" / "agency.json").read_text())["episodes"] == 12
+    assert json.loads((tmp_path / "told" / "agency.json").read_text())["episodes"] == 4
     (tmp_path / "episodes.parquet").write_text("mine")
-    told = astray("agency", run_folder, "--levels", "0:12", "--out", tmp_path, fails=True)
+    told = astray(*words, "--out", tmp_path, fails=True)
     assert (
         "episodes.parquet was not written by astray, which would have agency.json beside it" in told
     )

@@ -16,7 +16,7 @@ from helpers.hub_server import WRITER, running
 from helpers.thorough import thorough
 from helpers.trainings import TINY
 
-LEVELS = ("--levels", "1000000:1000008")
+LEVELS = ("--levels", "1000000:1000004")
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def recorded(astray, agent, out):
 
 
 def assessed(astray, agent, out):
-    assert json.loads(astray("agency", agent, *LEVELS, "--json"))["episodes"] == 8
+    assert json.loads(astray("agency", agent, *LEVELS, "--json"))["episodes"] == 4
 
 
 def explained(astray, agent, out):
@@ -82,7 +82,7 @@ def compared(astray, agent, out):
 
 
 def audited(astray, agent, out):
-    page = Path(astray("audit", agent, "--num-levels", "20", "--out", out).strip())
+    page = Path(astray("audit", agent, "--num-levels", "4", "--out", out).strip())
     assert "seed-0 pursue cheese or corner?" in page.read_text("utf-8")
 
 
@@ -110,7 +110,7 @@ VERBS = (
 
 @pytest.mark.filterwarnings("ignore:Use 'content=<...>':DeprecationWarning")  # of huggingface_hub
 @pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.__name__)
-def test_a_verb_takes_an_agent_with_memory(verb, astray, agent, tmp_path, monkeypatch):
+def test_a_verb_takes_an_agent_with_memory(verb, astray, agent, tmp_path, coarse, monkeypatch):
     def here(todo, workers=None, on="here", track=None):
         for run, config in todo.items():
             train(config, run, progress=False)

@@ -147,6 +147,14 @@ def violations(page):
     return [f"{v['id']}: {one['html']}" for v in found["violations"] for one in v["nodes"]]
 
 
+@functools.cache
+def usual_lab():
+    """A lab as most tests need it, made once: the choice of its level takes half a second."""
+    from astray.lab.serving import make_lab
+
+    return make_lab("maze-corner", {})
+
+
 @contextmanager
 def folder_served(folder):
     """The address of a folder's files."""

@@ -17,7 +17,7 @@ from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run
 from astray.games.maze.measures import decision
-from astray.insight import explain
+from astray.insight import explain, field_figures
 from astray.insight.episode import STILL, along, figure
 from astray.lab.goals import TELLING, distinguishing, typical
 from astray.level import Level
@@ -35,13 +35,14 @@ RUN = """\
 
 def test_a_course_is_the_episode_that_is_played():
     runner = load_agent(folders.find("coin-end"))
-    played = evaluate(runner, "coinrun", "coin-anywhere", range(200_000, 200_040))
+    short = games.find("coinrun").variant("coin-anywhere").with_knobs({"time_limit": 150})
+    played = evaluate(runner, "coinrun", short, range(200_000, 200_020))
     played = played.filter(pl.col("reached_end").is_not_null()).row(0, named=True)
-    course = along(runner, "coin-anywhere", played["level"], gamma=0.9, lam=0.8)
+    course = along(runner, short, played["level"], gamma=0.9, lam=0.8)
     table = course.table
     assert len(table) == played["length"] and table["reward"].sum() == played["return"]
     assert course.events == {name: played[name] for name in course.events}
-    policy, value = policy_and_value(runner, observe(runner, "coin-anywhere", course.states))
+    policy, value = policy_and_value(runner, observe(runner, short, course.states))
     assert table["value"].to_numpy() == pytest.approx(value)
     assert table.select(course.actions).to_numpy() == pytest.approx(policy)
     assert course.marks == ("coin in view", "end wall in view", "hazard ahead")
@@ -209,7 +210,10 @@ def test_the_agent_is_said_to_be_in_the_middle_only_where_it_is():
     assert "in the middle of what it sees" not in str(section)
 
 
-def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monkeypatch):
+def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, coarse, monkeypatch):
+    monkeypatch.setattr(explain, "PLACES", 8)
+    for module in (explain, field_figures):
+        monkeypatch.setattr(module, "PIXELS", 96)
     monkeypatch.setattr(sys, "stderr", told := io.StringIO())
     (tmp_path / "explain.html").write_bytes(
         explain.SIGN

@@ -1,5 +1,6 @@
 """Insight into agents with memory: states as layers, along episodes; ticks; maps of probes."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -23,22 +24,27 @@ STATE = {"mlp+gru": "recalled", "mlp+lstm": "recalled", "drc-1-2": "tick2"}
 
 
 @pytest.fixture(scope="module", params=NETWORKS)
-def agent(request, tmp_path_factory):
-    return made(request.param, tmp_path_factory)
+def agent(request, made):
+    return made(request.param)
 
 
 @pytest.fixture(scope="module")
-def mouse(tmp_path_factory):
-    return made("mlp+gru", tmp_path_factory)
+def mouse(made):
+    return made("mlp+gru")
 
 
 @pytest.fixture(scope="module")
-def planner(tmp_path_factory):
-    return made("drc-1-2", tmp_path_factory)
+def planner(made):
+    return made("drc-1-2")
 
 
-def made(network, factory):
-    folder = factory.mktemp("agent")
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Function that makes an agent of each network once."""
+    return functools.cache(lambda network: make(network, tmp_path_factory.mktemp("agent")))
+
+
+def make(network, folder):
     train(replace(TINY, network=network, steps=256, validation=None), folder, progress=False)
     agent = astray.load_agent(folder)
     with torch.no_grad():  # from near uniform

@@ -8,15 +8,14 @@ import torch
 
 from astray.agents.policy import weights
 from astray.lab.export import export
-from astray.lab.serving import make_lab
-from helpers.browsed import folder_served, lab_served, opened
+from helpers.browsed import folder_served, lab_served, opened, usual_lab
 
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory):
     """The folder of a lab without Python, with few levels."""
     folder = tmp_path_factory.mktemp("lab") / "site"
-    export(make_lab("maze-corner", {}), folder, levels=8, games={"pottery": "corner"})
+    export(usual_lab(), folder, levels=8, games={"pottery": "corner"})
     return folder
 
 
@@ -28,7 +27,7 @@ def static(exported):
 
 @pytest.fixture(scope="module")
 def served():
-    with lab_served(make_lab("maze-corner", {})) as address:
+    with lab_served(usual_lab()) as address:
         yield address
 
 
@@ -55,7 +54,7 @@ def untrained():
         torch.manual_seed(0)
         sizes = {"network": architecture.name, "scale": architecture.scale}
         settings = {**sizes, "width": architecture.width, **settings}
-        config = replace(make_lab("maze-corner", {}).agents.open("maze-corner")[1], **settings)
+        config = replace(usual_lab().agents.open("maze-corner")[1], **settings)
         path = folder / "checkpoints" / "1" / "agent.safetensors"
         path.parent.mkdir(parents=True)
         path.write_bytes(weights(architecture.build(), architecture, config.game))

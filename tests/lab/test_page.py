@@ -1,6 +1,7 @@
 """The lab in a real browser: what a person does there, and what is seen then."""
 
 import base64
+import contextlib
 import itertools
 import json
 import zlib
@@ -20,7 +21,7 @@ from astray.analysis.runs import load_agent
 from astray.insight.fields import fields
 from astray.lab.serving import make_lab
 from astray.level import Level
-from helpers.browsed import ROOM, WAYS, free_port, lab_served, load_anew, opened, wait
+from helpers.browsed import ROOM, WAYS, free_port, lab_served, load_anew, opened, usual_lab, wait
 
 
 @pytest.fixture
@@ -480,17 +481,14 @@ def test_a_gif_of_a_part_of_an_episode_says_so(page):
 
 
 def test_a_server_that_ends_is_told_and_one_that_comes_back_goes_on(chrome):
-    port, lab = free_port(), make_lab("maze-corner", {})
-    with lab_served(lab, port) as address:
-        context = chrome.new_context()
-        page = context.new_page()
-        page.goto(address)
-        wait(page, "globalThis.lab?.ready && lab.fields.size > 0")
-        show(page, ROOM)
-    wait(page, "lab.part('status').classList.contains('lost')")
-    page.evaluate("void lab.act('up')")
-    with lab_served(lab, port):
-        wait(page, "lab.part('status').textContent === ''")
-        wait(page, "lab.episode.actions.length === 1")
-        assert page.evaluate("lab.text") == ROOM
-    context.close()
+    port, lab = free_port(), usual_lab()
+    with contextlib.ExitStack() as stack:
+        with lab_served(lab, port) as address:
+            page, _ = stack.enter_context(opened(chrome, address))
+            show(page, ROOM)
+        wait(page, "lab.part('status').classList.contains('lost')")
+        page.evaluate("void lab.act('up')")
+        with lab_served(lab, port):
+            wait(page, "lab.part('status').textContent === ''")
+            wait(page, "lab.episode.actions.length === 1")
+            assert page.evaluate("lab.text") == ROOM

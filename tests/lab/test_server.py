@@ -25,8 +25,8 @@ from websockets.exceptions import ConnectionClosedError, InvalidStatus
 
 from astray.lab import server, session
 from astray.lab.server import Bucket, Conversation, files
-from astray.lab.serving import make_lab
 from astray.lab.session import Session
+from helpers.browsed import usual_lab
 
 
 def run(coroutine):
@@ -154,7 +154,7 @@ def test_nothing_is_computed_for_a_page_that_has_left():
 
 
 def test_a_page_that_leaves_amid_an_answer_ends_its_conversation():
-    lab = make_lab("maze-corner", {})
+    lab = usual_lab()
     run(asyncio.wait_for(Conversation(Leaving(), Session(lab), lab).hold(), 60))
 
 
@@ -170,7 +170,7 @@ def test_the_address_is_told_when_somebody_listens_there(monkeypatch):
 
     monkeypatch.setattr(server, "print", told, raising=False)
     monkeypatch.setattr(uvicorn.Server, "run", lambda *_, sockets: sockets[0].close())
-    server.serve(make_lab("maze-corner", {}), 0, browse=False)
+    server.serve(usual_lab(), 0, browse=False)
     assert len(heard) == 1
 
 

@@ -28,10 +28,12 @@ from astray.level import Level
 from astray.record import COMMON, state_dtype
 from astray.training import checkpoint
 from astray.training.ppo import RewardNormaliser
+from helpers.browsed import usual_lab
 from helpers.trainings import PLAIN, train_to_first_checkpoint
 
 MESSAGES = int(os.environ.get("ASTRAY_LAB_MESSAGES", "400"))  # of those at random
 MAZE = {"game": "maze", "variant": "anywhere-small", "agent": "maze-corner"}
+MAZE_STARTS = {"game": "maze", "variant": "anywhere-small", "level": 0}
 MAZE_TESTED = (
     games.find("maze"),
     "test",
@@ -43,7 +45,7 @@ ROOM = "#######\n#....G#\n#.###.#\n#.#...#\n#.#.#.#\n#@....#\n#######"
 
 @pytest.fixture(scope="module")
 def lab():
-    return make_lab("maze-corner", {})
+    return usual_lab()
 
 
 @pytest.fixture
@@ -78,17 +80,19 @@ def test_the_level_of_a_file_is_read_as_other_verbs_read_it(tmp_path, code):
 
 
 def test_the_first_agent_is_one_that_sees_the_levels():
-    assert make_lab(None, {}).start["agent"] == "maze-corner"
-    dish = make_lab(None, {"variant": "dish-small"})  # of more symbolic planes
+    assert make_lab(None, {"level": 0}).start["agent"] == "maze-corner"
+    dish = make_lab(None, {"variant": "dish-small", "level": 0})  # of more symbolic planes
     assert dish.agents.open(dish.start["agent"])[0].observation == "image"
     assert dish.start["variant"] == "dish-small"
-    assert make_lab(None, {"game": "pottery", "variant": "anywhere"}).start["agent"] == ""
+    assert (
+        make_lab(None, {"game": "pottery", "variant": "anywhere", "level": 0}).start["agent"] == ""
+    )
     with pytest.raises(ValueError, match="unknown variant 'dishes' of maze"):
         make_lab(None, {"game": "maze", "variant": "dishes"})
 
 
-def test_a_level_distinguishes_the_goals_as_walks_to_them_do(session):
-    begun = make_lab("maze-corner", {}).start["level"]
+def test_a_level_distinguishes_the_goals_as_walks_to_them_do(session, lab):
+    begun = lab.start["level"]
     played = play_all(*MAZE_TESTED, range(begun + 1), [])
     told = [
         ask(session, "distinguishes", **MAZE, level=k)["distinguishes"] for k in range(begun + 1)
@@ -149,7 +153,7 @@ def test_an_agent_is_shown_as_it_is_when_its_training_has_gone_on(untrained, tmp
     later = path.parent.with_name("2") / path.name
     later.parent.mkdir()
     later.write_bytes(weights(architecture.build(), architecture, "maze"))
-    session = Session(make_lab(agent, {"game": "maze"}))
+    session = Session(make_lab(agent, {"game": "maze", "level": 0}))
     told = ask(session, "fields", **MAZE | {"agent": session.lab.start["agent"]}, level=ROOM)
     level = Level.from_text(*MAZE_TESTED[::2], ROOM)
     (expected,) = fields(agent, "anywhere-small", {"": level})
@@ -294,7 +298,7 @@ def test_there_is_no_best_way_after_the_end(session):
 
 
 def test_probes_are_not_fitted_to_the_level_that_they_read(monkeypatch):
-    lab, played = make_lab("maze-corner", {}), []
+    lab, played = make_lab("maze-corner", {"level": 0}), []
 
     def visit(agent, variant, levels, **more):
         played.append(list(levels))
@@ -343,10 +347,10 @@ def test_an_agent_with_memory_goes_on_from_what_it_saw(untrained, tmp_path, netw
     body = session.lab.agents.open("mouse")[0].network.body
     body.policy.weight.data *= 5_000  # from near uniform
     asked = MAZE | {"agent": "mouse", "level": 12}
-    whole, stepped = ask(session, "play", **asked, steps=24)["actions"], []
+    whole, stepped = ask(session, "play", **asked, steps=16)["actions"], []
     for _ in whole:
         stepped = ask(Session(session.lab), "play", **asked, actions=stepped, steps=1)["actions"]
-    handed = ask(Session(session.lab), "play", **asked, actions=whole[:7], steps=17)["actions"]
+    handed = ask(Session(session.lab), "play", **asked, actions=whole[:7], steps=9)["actions"]
     assert stepped == handed == whole
     world = read_world(read(json.dumps({"id": 1, "kind": "level", **asked})))
     states = play_on(None, world, whole[:9]).states
@@ -370,7 +374,7 @@ def counting(seen, memory, begins):
 
 def test_a_function_with_memory_remembers_where_it_stands_and_nowhere_else():
     policy = Function(counting, "counting", observation="symbolic", remembers=True)
-    session = Session(make_lab(policy, {"game": "maze", "variant": "anywhere-small"}))
+    session = Session(make_lab(policy, MAZE_STARTS))
     asked = MAZE | {"agent": "counting", "level": ROOM}
     for actions, here, does in (([], [1, 1], 5), ([5], [1, 2], 7), ([7, 7], [3, 1], 4)):
         told = ask(session, "fields", **asked, actions=actions)
@@ -381,7 +385,7 @@ def test_a_function_with_memory_remembers_where_it_stands_and_nowhere_else():
 
 
 def test_walks_in_drawn_levels_are_not_mixed_up():
-    session = Session(make_lab(Walk("cheese"), {"game": "maze", "variant": "anywhere-small"}))
+    session = Session(make_lab(Walk("cheese"), MAZE_STARTS))
     other = ROOM.replace("....G", ".....").replace("@....", "@...G")
     asked = MAZE | {"agent": "walk to cheese"}
     here = asked | {"level": other, "actions": [5]}

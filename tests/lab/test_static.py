@@ -26,7 +26,7 @@ from astray.lab.worlds import is_drawn, read_world, snapshot
 from astray.level import Level
 from astray.training.ppo import RewardNormaliser, advantages
 from helpers import moor
-from helpers.browsed import PLAY, folder_served, knobs, opened, wait
+from helpers.browsed import PLAY, folder_served, knobs, opened, usual_lab, wait
 from helpers.thorough import thorough
 
 WHOLE = "JSON.stringify(told, (_, x) => (typeof x === 'bigint' ? JSON.rawJSON(`${x}`) : x))"
@@ -111,7 +111,7 @@ def test_a_world_of_cells_is_edited_and_played_without_python(page):
     )
     question = asked | {"kind": "posterior", "actions": [1], "agent": "maze-corner"}
     said = page.evaluate("(m) => lab.engine.ask(m).catch((error) => error.message)", question)
-    (there,) = Session(make_lab("maze-corner", {})).answers(json.dumps(question | {"id": 1}))
+    (there,) = Session(usual_lab()).answers(json.dumps(question | {"id": 1}))
     assert said == there["error"] and said.startswith("In this level, no goal is reached")
 
 
@@ -170,7 +170,7 @@ def test_looks_of_a_thing_that_is_gone_are_refused_as_in_python(page, game, vari
     same, _ = both(page, **asked, level=level)
     assert same["text"] == there["text"]
     asked["level"] = level | {"looks": level["looks"] | looks}
-    (refused,) = Session(make_lab("maze-corner", {})).answers(json.dumps({"id": 1} | asked))
+    (refused,) = Session(usual_lab()).answers(json.dumps({"id": 1} | asked))
     told = page.evaluate("(m) => lab.engine.ask(m).catch((error) => error.message)", asked)
     assert "in this level []" in refused["error"] or refused["error"].endswith(told)
     assert "which has none" in told or "unknown key 'purple'" in told
@@ -216,13 +216,13 @@ def test_a_walker_under_a_crate_that_is_lifted_is_in_the_level_as_in_python(page
 def test_a_level_that_cannot_begin_is_refused_in_python_s_words(page, game, variant, level):
     words = {"kind": "level", "game": game, "variant": variant, "level": level}
     said = page.evaluate("(m) => lab.engine.ask(m).catch((error) => error.message)", words)
-    (told,) = Session(make_lab("maze-corner", {})).answers(json.dumps({"id": 1} | words))
+    (told,) = Session(usual_lab()).answers(json.dumps({"id": 1} | words))
     assert said == told["error"]
 
 
 def test_networks_give_what_torch_gives(page, static, exported):
     for name in ("maze-corner", "many-chests", "coin-end"):
-        agent, config = make_lab(name, {}).agents.open(name)
+        agent, config = usual_lab().agents.open(name)
         env = GameVectorEnv(config.game, config.variant, 20, observation="symbolic")
         seen, _ = env.reset(seed=1)
         policy, value = policy_and_value(agent, seen)
@@ -255,7 +255,7 @@ def both(page, lab=None, **message):
             message,
         )
     )
-    session = Session(lab or make_lab("maze-corner", {}))
+    session = Session(lab or usual_lab())
     there = list(session.answers(json.dumps({"id": 1} | message)))
     return _joined(here), _joined(there)
 
@@ -312,7 +312,7 @@ def test_a_splay_is_that_of_python(page):
 def test_an_agent_that_stands_on_an_object_is_asked_everywhere_as_in_python(
     page, agent, variant, thing
 ):
-    lab = make_lab("maze-corner", {})
+    lab = usual_lab()
     game = lab.agents.open(agent)[0].game
     (s,) = initial_states(game, variant, [2])
     level = Level.of(games.find(game), games.find(game).variant(variant), s)
@@ -435,7 +435,7 @@ def test_the_badge_of_a_level_is_shown_without_python(chrome, static):
 
 def replayed(number):
     """What the agent does in a level."""
-    parts = Session(make_lab("maze-corner", {})).answers(
+    parts = Session(usual_lab()).answers(
         json.dumps({"id": 1, "kind": "play", **MAZE, "level": number, "steps": 20})
     )
     return _joined(parts)["actions"]
@@ -624,7 +624,7 @@ def test_a_guest_with_the_name_of_a_file_of_the_page_takes_its_place_nowhere(
     monkeypatch.setitem(games._registered, name, game)
     monkeypatch.setitem(grid._MADE, game, grid.world_of(games.find("pottery")))
     assert not is_drawn(game)
-    export(make_lab("maze-corner", {}), tmp_path / "site", 1, [], {name: "corner"})
+    export(usual_lab(), tmp_path / "site", 1, [], {name: "corner"})
     asked = {"kind": "play", "variant": "corner", "level": 0, "agent": "", "actions": [3, 0, 1]}
     with (
         folder_served(tmp_path / "site") as address,
@@ -638,7 +638,7 @@ def test_a_guest_with_the_name_of_a_file_of_the_page_takes_its_place_nowhere(
 
 
 def test_nothing_is_written_over_and_nothing_outside(tmp_path):
-    lab, mine = make_lab("maze-corner", {}), tmp_path / "mine"
+    lab, mine = usual_lab(), tmp_path / "mine"
     (mine / "data").mkdir(parents=True)
     (mine / "data" / "index.json").write_text("mine")
     with pytest.raises(FileExistsError, match="must be new, or an empty folder"):
@@ -679,7 +679,7 @@ def test_a_link_has_a_level_that_was_not_exported(chrome, static, game, variant,
 
 @pytest.mark.parametrize("most", [700, 300_000])  # bytes of a file: of the page, of the weights
 def test_an_export_without_room_names_its_folder_and_leaves_nothing(tmp_path, full_disk, most):
-    lab = make_lab("maze-corner", {})
+    lab = usual_lab()
     full_disk(most)
     with pytest.raises(OSError, match=r"large; nothing was written: '[^']*[^.]site\b[^']*'$"):
         export(lab, tmp_path / "site", levels=1, agents=["maze-corner"])

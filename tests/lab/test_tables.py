@@ -1,7 +1,5 @@
 """What agents that see images do is looked up: tables of it, and a page that reads them."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from astray.analysis.trained import Agent
 from astray.lab.export import check_exportable, export, table
 from astray.lab.serving import make_lab
 from astray.level import Level
-from helpers.browsed import folder_served, opened, wait
+from helpers.browsed import folder_served, opened, usual_lab, wait
 
 SIGHTED = Architecture("impala", (64, 64, 3), (), 15, widths=(4, 4, 4))
 IMAGES = {"observation": "image", "network": "impala"}
@@ -21,28 +19,26 @@ IMAGES = {"observation": "image", "network": "impala"}
 
 def test_a_large_agent_is_looked_up_in_a_table(chrome, untrained, tmp_path):
     path = untrained(tmp_path / "run", SIGHTED, **IMAGES)
-    lab = make_lab(tmp_path / "run", {})
-    export(lab, tmp_path / "site", levels=3, agents=[str(tmp_path / "run")])
+    lab = make_lab(tmp_path / "run", {"level": 0})
+    export(lab, tmp_path / "site", levels=2, agents=[str(tmp_path / "run")])
     agent, game = Agent(path, "maze"), games.find("maze")
     variant = game.variant("anywhere-small")
-    levels = [Level.of(game, variant, s) for s in initial_states(game, variant, range(3))]
-    edited = levels[2].moved("goal", _another(levels[2]))
+    levels = [Level.of(game, variant, s) for s in initial_states(game, variant, range(2))]
+    edited = levels[1].moved("goal", _another(levels[1]))
     with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
         first = page.evaluate("[...lab.fields.values()]")
         wait(page, "lab.ready")
         message = {"kind": "fields", "agent": page.evaluate("lab.part('agent').value")}
         message |= {"game": "maze", "variant": "anywhere-small", "level": edited.to_json()}
         asked = page.evaluate("(message) => lab.engine.ask(message)", message)
-        splay = {"kind": "splay", "level": 2, "thing": "goal"}
+        splay = {"kind": "splay", "level": 1, "thing": "goal"}
         ended = page.evaluate("(message) => lab.engine.ask(message)", message | splay)
-        assert ended["of"] == len(levels[2].splay("goal")) and not told
+        assert ended["of"] == len(levels[1].splay("goal")) and not told
     second = [
         {"cell": cell, "policy": policy, "value": value}
         for cell, policy, value in zip(asked["cells"], asked["policy"], asked["value"], strict=True)
     ]
-    (index,) = (tmp_path / "site").rglob("index.json")
-    begins = json.loads(index.read_text())["start"]["level"]
-    for level, found in ((levels[begins], first[:5]), (edited, second[:5])):
+    for level, found in ((levels[0], first[:5]), (edited, second[:5])):
         for one in found:
             s = level.moved("agent", tuple(one["cell"])).state(solvable=False)
             policy, value = policy_and_value(
@@ -55,7 +51,7 @@ def test_a_large_agent_is_looked_up_in_a_table(chrome, untrained, tmp_path):
 @pytest.mark.thorough  # `test_a_large_agent_is_looked_up_in_a_table`
 def test_a_table_knows_a_level_by_its_other_object_too(chrome, untrained, tmp_path):
     untrained(tmp_path / "run", SIGHTED, **IMAGES, variant="dish-small", validation=None)
-    lab = make_lab(tmp_path / "run", {})
+    lab = make_lab(tmp_path / "run", {"level": 0})
     export(lab, tmp_path / "site", levels=2, agents=[str(tmp_path / "run")])
     game = games.find("maze")
     variant = game.variant("dish-apart-small")
@@ -77,7 +73,7 @@ def _another(level):
 
 
 def test_a_table_is_no_larger_than_is_asked_for():
-    agent, config = make_lab("maze-corner", {}).agents.open("maze-corner")
+    agent, config = usual_lab().agents.open("maze-corner")
     game = config.find_game()
     index, data = table(agent, game, game.variant("anywhere-small"), 2, most=2000)
     assert len(data) <= 2000  # a level too large for its half has one place of the goal alone
@@ -101,6 +97,6 @@ def test_an_agent_that_no_table_can_stand_for_is_refused(
     if not settings:
         architecture = Architecture(network, (4, 7, 7), (1, 1, 6, 6), actions, width=8)
     untrained(tmp_path / "run", architecture, **kind, **settings, validation=None, width=8)
-    lab = make_lab(tmp_path / "run", {})
+    lab = make_lab(tmp_path / "run", {"level": 0})
     with pytest.raises(ValueError, match=f"{why}: there is no table of all that it may see"):
         check_exportable(lab, None, {})

@@ -8,10 +8,9 @@ import astray.lab
 from astray import games
 from astray.lab import session
 from astray.lab.notebook import LOADER, modules
-from astray.lab.serving import make_lab
 from astray.lab.session import Session
 from astray.level import Level
-from helpers.browsed import ROOM, wait
+from helpers.browsed import ROOM, usual_lab, wait
 
 # Cells that show one widget, whose kernel tells its answers to all; `passed` has the keys that the
 # notebook hears.
@@ -41,7 +40,7 @@ CELLS = """async ([loader, modules, count]) => {
 
 @contextmanager
 def notebook(chrome, static, cells=1):
-    its = Session(make_lab("maze-corner", {}))
+    its = Session(usual_lab())
     page = chrome.new_context().new_page()
     page.expose_function("kernel", lambda text: list(its.answers(text)))
     page.goto(f"{static}data/index.json")  # any page without scripts of its own
@@ -101,7 +100,7 @@ def test_a_mistake_of_the_lab_is_told_in_the_cell_that_waits_for_an_answer(monke
         raise KeyError("nobody reckoned with this")
 
     monkeypatch.setattr(session, "ANSWERS", {"level": fails})
-    (answer,) = Session(make_lab("maze-corner", {})).answers('{"id": 7, "kind": "level"}')
+    (answer,) = Session(usual_lab()).answers('{"id": 7, "kind": "level"}')
     assert answer["id"] == 7 and "the lab itself failed: KeyError" in answer["error"]
 
 

@@ -35,11 +35,11 @@ def test_mutual_information_is_that_of_the_joint_distribution():
 
 
 def test_heads_that_are_made_to_differ_take_a_feature_each():
-    known, other, test = frames(2000, True), frames(2000, False, 1), frames(2000, False, 2)
+    known, other, test = frames(500, True), frames(500, False, 1), frames(500, False, 2)
     names = ["one", "two"]
-    apart = train_heads(known, "one", other.seen, diversity=10.0, steps=500)
+    apart = train_heads(known, "one", other.seen, diversity=10.0, steps=200)
     assert agreement(apart, known_and(test, known), names).max(0) == pytest.approx(1, abs=0.1)
-    alone = train_heads(known, "one", other.seen, diversity=0.0, steps=500)
+    alone = train_heads(known, "one", other.seen, diversity=0.0, steps=200)
     assert agreement(alone, test, names).max(0).min() < 0.9
 
 

@@ -34,8 +34,10 @@ from astray.mitigation.uncertainty import Chance, OfLogits
 
 MAZE = games.find("maze")
 SHIFT = load_shift(MAZE, "corner-small")
-CORNER, ANYWHERE = MAZE.variant("corner-small"), MAZE.variant("anywhere-small")
-LEVELS = range(200_000, 200_040)
+CORNER, ANYWHERE = (
+    MAZE.variant(name).with_knobs({"time_limit": 40}) for name in ("corner-small", "anywhere-small")
+)
+LEVELS = range(200_000, 200_020)
 
 
 @pytest.fixture(scope="module")

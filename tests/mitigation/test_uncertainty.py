@@ -167,7 +167,7 @@ def test_features_are_the_same_whatever_stands_beside_them(mouse):
 def test_the_likeliest_rates_are_those_of_a_search():
     evidence = np.random.default_rng(0).normal(size=(20, 2)) * 2
     rates = np.linspace(1e-6, 1 - 1e-6, 10_001)
-    total = [logsumexp(evidence + np.log([s, 1 - s]), axis=1).sum() for s in rates]
+    total = logsumexp(evidence[..., None] + np.log([rates, 1 - rates]), axis=1).sum(0)
     assert likeliest_rates(evidence)[0] == pytest.approx(rates[np.argmax(total)], abs=2e-3)
 
 
@@ -184,12 +184,13 @@ class Torn(Walk):
 
 
 def test_the_entropy_under_a_splay_is_low_for_who_knows_what_it_wants():
-    env = GameVectorEnv("maze", "anywhere-easy", 4, observation="symbolic")
-    seen, _ = env.reset(seed=0, options={"level": np.arange(200_000, 200_004)})
+    variant = MAZE.variant("anywhere-easy").with_knobs({"time_limit": 40})
+    env = GameVectorEnv("maze", variant, 2, observation="symbolic")
+    seen, _ = env.reset(seed=0, options={"level": np.array([200_000, 200_001])})
     shift = load_shift(MAZE, "corner-easy")
     decided, torn = GoalPosterior(Walk("corner"), shift), GoalPosterior(Torn(), shift)
     assert decided(env, seen).mean() < torn(env, seen).mean() - 0.2
-    assert 4 * 6 <= decided.imagined <= 4 * 12
+    assert 2 * 6 <= decided.imagined <= 2 * 12
 
 
 def test_a_cheese_is_splayed_from_its_dish_which_stays():

@@ -332,9 +332,9 @@ def test_a_check_chooses_actions_as_the_card_says(astray, home, tmp_path, mouse)
     (tmp_path / "agent.pth").write_bytes(mouse)
     of = ("--game", "maze", "--variant", "corner-small", "--art", "own", "--mode", "greedy")
     astray("import", tmp_path / "agent.pth", "--as", "m", *of)
-    (row,) = json.loads(astray("agents", "check", "m", "--levels", "0:8", "--json"))
+    (row,) = json.loads(astray("agents", "check", "m", "--levels", "6:7", "--json"))
     lengths = {
-        mode: evaluate(open_run("m", mode)[0], "maze", "corner-small", range(8))["length"].mean()
+        mode: evaluate(open_run("m", mode)[0], "maze", "corner-small", [6])["length"].mean()
         for mode in ("greedy", "sampled")
     }
     assert row["length"] == lengths["greedy"] != lengths["sampled"]

@@ -87,11 +87,11 @@ def downloads_at_once(server, to, count):
 
 
 def test_downloads_of_one_file_at_once_all_succeed(serve, tmp_path):
-    server, to = serve(DATA, pause=0.02), tmp_path / "agent.jd"
-    said = downloads_at_once(server, to, 4)
-    assert [code for _, code in said] == [0] * 4, said
+    server, to = serve(DATA, pause=0.1), tmp_path / "agent.jd"
+    said = downloads_at_once(server, to, 2)
+    assert [code for _, code in said] == [0, 0], said
     assert to.read_bytes() == DATA and left(tmp_path) == ["agent.jd"]
-    assert server.asked == [None]  # the others found it there, and saw that it is the one
+    assert server.asked == [None]  # the other found it there, and saw that it is the one
 
 
 def test_what_is_checked_is_put_in_place_whatever_is_written_meanwhile(
