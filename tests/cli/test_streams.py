@@ -108,6 +108,7 @@ def test_paths_that_are_no_text_are_printed(tmp_path):
 
 
 @POSIX
+@pytest.mark.thorough  # `test_a_signal_that_python_ignores_in_a_callback_ends_the_command`
 def test_an_interrupted_command_says_so_in_a_line(tmp_path):
     words = ("train", "maze", "corner-small", "--out", str(tmp_path), "--num-levels", "100")
     small = ("--num-envs", "16", "--num-steps", "16", "--minibatches", "2", "--width", "16")

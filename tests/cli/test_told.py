@@ -122,8 +122,7 @@ def test_the_list_has_the_others_where_one_agent_is_none(
     "name, value",
     [
         ("NUM_THREADS", "0"),
-        ("COLOR_SCHEME", "pink"),
-        *thorough(("NUM_THREADS", "-1"), ("NUM_THREADS", "x")),
+        *thorough(("COLOR_SCHEME", "pink"), ("NUM_THREADS", "-1"), ("NUM_THREADS", "x")),
     ],
 )
 def test_a_variable_that_numba_does_not_take_is_left_out(name, value):

@@ -4,6 +4,7 @@ import base64
 import contextlib
 import itertools
 import json
+import threading
 import zlib
 from urllib.parse import parse_qs, urlsplit
 
@@ -19,7 +20,9 @@ from astray.analysis.adapters import Function
 from astray.analysis.replay import replay
 from astray.analysis.runs import load_agent
 from astray.insight.fields import fields
+from astray.lab import agents, session
 from astray.lab.serving import make_lab
+from astray.lab.session import ANSWERS
 from astray.level import Level
 from helpers.browsed import ROOM, WAYS, free_port, lab_served, load_anew, opened, usual_lab, wait
 
@@ -242,7 +245,22 @@ def test_a_maze_has_the_tools_of_its_objects_and_a_tool_keeps_the_focus(page):
     assert page.evaluate("document.activeElement.ariaPressed") == "true"
 
 
-def test_a_way_is_told_while_probes_are_fitted(page):
+def test_a_way_is_told_while_probes_are_fitted(page, monkeypatch):
+    told = threading.Event()
+
+    def route(*asked):
+        yield from ANSWERS["route"](*asked)
+        told.set()
+
+    def reading(*asked):
+        for _ in range(10_000):  # parts of an answer, between which other questions have theirs
+            if told.is_set():
+                break
+            yield {"rows": [], "states": 0}
+        yield from ANSWERS["reading"](*asked)
+
+    monkeypatch.setattr(session, "ANSWERS", {**ANSWERS, "route": route, "reading": reading})
+    monkeypatch.setattr(agents, "VISITED", 40)
     show(page, 17)
     page.evaluate("""() => {
       globalThis.order = [];
@@ -474,6 +492,8 @@ def test_what_is_taken_along_can_be_read(page, format, tmp_path):
 def test_a_gif_of_a_part_of_an_episode_says_so(page):
     show(page, ROOM)
     page.evaluate("lab.episode.states = Array(302).fill(lab.episode.states[0])")
+    flat = "{ columns: 96, rows: 1, left: 0, low: 0 }"  # for frames of a few pixels
+    page.evaluate(f"Object.defineProperty(lab.stage, 'frame', {{ value: {flat} }})")
     page.get_by_text("Take it along").click()
     with page.expect_download():
         page.locator("[data-lab=gif]").click()

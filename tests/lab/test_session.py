@@ -258,8 +258,9 @@ def test_an_intervention_changes_the_arrows_of_its_question_alone(session):
     assert ask(session, "fields", **MAZE, level=ROOM)["policy"] == plain["policy"]
 
 
-def test_probes_read_what_is_true_of_the_state(session):
+def test_probes_read_what_is_true_of_the_state(session, monkeypatch):
     pytest.importorskip("sklearn", reason="scikit-learn is not installed")
+    monkeypatch.setattr(agents, "VISITED", 40)
     told = ask(session, "reading", **MAZE, level=17, layer="features.relu1")
     assert told["rows"] and all(row["layer"] == "features.relu1" for row in told["rows"])
     assert any(row["true"] is not None and row["score"] > 0.5 for row in told["rows"])

@@ -1,7 +1,5 @@
 """The lab in a notebook: the page as a widget, and the answers that it gets there."""
 
-from contextlib import contextmanager
-
 import pytest
 
 import astray.lab
@@ -38,51 +36,49 @@ CELLS = """async ([loader, modules, count]) => {
 }"""
 
 
-@contextmanager
-def notebook(chrome, static, cells=1):
+@pytest.fixture(scope="module")
+def notebook(chrome, static):
+    """A page with three cells: one test clears the last, the others use the first two."""
     its = Session(usual_lab())
     page = chrome.new_context().new_page()
     page.expose_function("kernel", lambda text: list(its.answers(text)))
     page.goto(f"{static}data/index.json")  # any page without scripts of its own
-    page.evaluate(CELLS, [LOADER.read_text(), modules(), cells])
+    page.evaluate(CELLS, [LOADER.read_text(), modules(), 3])
     wait(page, "labs.every((lab) => lab.ready && lab.fields.size > 0)")
     yield page
     page.context.close()
 
 
-def test_the_widget_of_a_notebook_is_the_same_page(chrome, static):
-    with notebook(chrome, static) as page:
-        assert page.evaluate("(level) => lab.open(level)", ROOM)
-        wait(page, "lab.fields.size > 0")
-        assert page.evaluate("lab.text") == ROOM
-        page.evaluate("lab.part('taken').open = true")
-        assert page.is_visible("[data-lab=json]") and not page.is_visible("[data-lab=link]")
+def test_the_widget_of_a_notebook_is_the_same_page(notebook):
+    assert notebook.evaluate("(level) => lab.open(level)", ROOM)
+    wait(notebook, "lab.fields.size > 0")
+    assert notebook.evaluate("lab.text") == ROOM
+    notebook.evaluate("lab.part('taken').open = true")
+    assert notebook.is_visible("[data-lab=json]") and not notebook.is_visible("[data-lab=link]")
 
 
-def test_keys_in_a_cell_play_and_never_reach_the_notebook(chrome, static):
-    with notebook(chrome, static) as page:
-        page.click("[data-lab=once]")
-        wait(page, "lab.now === 1")
-        page.keyboard.press("d")
-        wait(page, "lab.now === 2")
-        for key in ("x", "b", "Control+s"):
-            page.keyboard.press(key)
-        assert page.evaluate("passed") == ["Control", "s"]
+def test_keys_in_a_cell_play_and_never_reach_the_notebook(notebook):
+    assert notebook.evaluate("passed.length = 0, lab.open(17)")
+    notebook.click("[data-lab=once]")
+    wait(notebook, "lab.now === 1")
+    notebook.keyboard.press("d")
+    wait(notebook, "lab.now === 2")
+    for key in ("x", "b", "Control+s"):
+        notebook.keyboard.press(key)
+    assert notebook.evaluate("passed") == ["Control", "s"]
 
 
-def test_cells_of_one_widget_do_not_take_each_other_s_answers(chrome, static):
-    with notebook(chrome, static, cells=2) as page:
-        both = "[lab.open(3), labs[1].open(5)]"
-        assert page.evaluate(f"Promise.all({both})") == [True, True]
-        assert page.evaluate("labs.map((lab) => lab.number)") == [3, 5]
+def test_cells_of_one_widget_do_not_take_each_other_s_answers(notebook):
+    both = "[lab.open(3), labs[1].open(5)]"
+    assert notebook.evaluate(f"Promise.all({both})") == [True, True]
+    assert notebook.evaluate("[lab.number, labs[1].number]") == [3, 5]
 
 
-def test_a_cell_that_is_cleared_listens_no_longer(chrome, static):
-    with notebook(chrome, static, cells=2) as page:
-        page.evaluate("clears[0](), labs.forEach((lab) => lab.editor.pressed.add('a'))")
-        assert page.evaluate("listening()") == 1 and page.evaluate("labs[1].open(5)")
-        page.evaluate("dispatchEvent(new Event('blur'))")
-        assert page.evaluate("labs.map((lab) => lab.editor.pressed.size)") == [1, 0]
+def test_a_cell_that_is_cleared_listens_no_longer(notebook):
+    notebook.evaluate("clears[2](), labs.forEach((lab) => lab.editor.pressed.add('a'))")
+    assert notebook.evaluate("listening()") == 2 and notebook.evaluate("labs[1].open(5)")
+    notebook.evaluate("dispatchEvent(new Event('blur'))")
+    assert notebook.evaluate("labs.map((lab) => lab.editor.pressed.size)") == [0, 0, 1]
 
 
 def test_the_notebook_s_widget_answers_its_page():
