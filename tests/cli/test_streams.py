@@ -44,10 +44,6 @@ def test_a_variable_that_a_library_does_not_like_is_told_in_a_line():
     assert err.startswith("astray: ") and "'nothing' is not a valid value for backend" in err
 
 
-def test_a_list_imports_nothing_that_draws():
-    assert ended(begin("list", env={"MPLBACKEND": "nothing"}))[::2] == (0, "")
-
-
 def test_a_variable_that_numba_cannot_read_is_told_without_a_traceback():
     code, out, err = ended(begin(*LEVEL, "7", env={"NUMBA_OPT": "x"}))
     assert code == 0 and "corner-small level 7" in out

@@ -91,10 +91,17 @@ def opened(browser, address, ready=ARROWS, **options):
 
     With `options` it is in a window of its own.
     """
+    with window_of(browser, **options) as (page, told):
+        page.goto(address)
+        wait(page, f"{LOADED} && {ready}")
+        yield page, told
+
+
+@contextmanager
+def window_of(browser, **options):
+    """A page that has loaded nothing yet, and what it writes to the console, as for `opened`."""
     left = LEFT.setdefault(browser, [])
     page, told = left.pop() if left and not options else new_window(browser, **options)
-    page.goto(address)
-    wait(page, f"{LOADED} && {ready}")
     yield page, told
     if options:
         page.context.close()

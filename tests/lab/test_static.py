@@ -26,7 +26,7 @@ from astray.lab.worlds import is_drawn, read_world, snapshot
 from astray.level import Level
 from astray.training.ppo import RewardNormaliser, advantages
 from helpers import moor
-from helpers.browsed import PLAY, folder_served, knobs, opened, usual_lab, wait
+from helpers.browsed import PLAY, folder_served, knobs, opened, usual_lab, wait, window_of
 from helpers.thorough import thorough
 
 WHOLE = "JSON.stringify(told, (_, x) => (typeof x === 'bigint' ? JSON.rawJSON(`${x}`) : x))"
@@ -464,16 +464,14 @@ def test_a_level_is_not_drawn_as_one_of_the_game_that_is_chosen_next(chrome, sta
 
 
 def test_before_its_first_level_a_page_is_clicked_in_vain(chrome, static):
-    page, told = chrome.new_page(), []
-    page.on("pageerror", lambda error: told.append(str(error)))
-    page.route("**/levels/**", lambda route: None)  # which does not come
-    page.goto(static)
-    wait(page, "globalThis.lab?.about && !lab.part('restore').disabled")
-    for name in ("world", "restore"):
-        page.dispatch_event(f"[data-lab={name}]", "pointerdown")
-        page.dispatch_event(f"[data-lab={name}]", "click")
-    assert not told
-    page.context.close()
+    with window_of(chrome) as (page, told):
+        page.route("**/levels/**", lambda route: None)  # which does not come
+        page.goto(static)
+        wait(page, "globalThis.lab?.about && !lab.part('restore').disabled")
+        for name in ("world", "restore"):
+            page.dispatch_event(f"[data-lab={name}]", "pointerdown")
+            page.dispatch_event(f"[data-lab={name}]", "click")
+        assert not told
 
 
 def test_what_a_lost_network_kept_away_is_shown_once_it_is_back(chrome, static):
@@ -501,11 +499,10 @@ def test_what_a_lost_network_kept_away_is_shown_once_it_is_back(chrome, static):
 
 
 def test_drawings_that_cannot_be_had_are_told(chrome, static):
-    page = chrome.new_page()
-    page.route("**/art/*", lambda route: route.abort())
-    page.goto(static)
-    wait(page, "globalThis.lab?.ready && lab.part('problem').textContent === 'Failed to fetch'")
-    page.context.close()
+    with window_of(chrome) as (page, _):
+        page.route("**/art/*", lambda route: route.abort())
+        page.goto(static)
+        wait(page, "globalThis.lab?.ready && lab.part('problem').textContent === 'Failed to fetch'")
 
 
 def test_what_covering_parts_does_is_what_captum_says(page):
