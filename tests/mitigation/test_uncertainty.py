@@ -25,7 +25,9 @@ from astray.mitigation.uncertainty import (
 
 MAZE = games.find("maze")
 SHIFT = load_shift(MAZE, "corner-small")
-CORNER, ANYWHERE = MAZE.variant("corner-small"), MAZE.variant("anywhere-small")
+CORNER, ANYWHERE = (
+    MAZE.variant(name).with_knobs({"time_limit": 40}) for name in ("corner-small", "anywhere-small")
+)
 LEVELS = range(200_000, 200_040)
 
 

@@ -270,7 +270,7 @@ def test_attribution_takes_the_clear_network(home, tmp_path, runner):
     (tmp_path / "a.jd").write_bytes(runner)
     agent, _ = open_run(import_agent(tmp_path / "a.jd", "a", Known(art="own")))
     images = np.random.default_rng(0).integers(0, 256, (2, 64, 64, 3), np.uint8)
-    maps = attribution.integrated_gradients(agent, images, steps=128)
+    maps = attribution.integrated_gradients(agent, images, steps=64)
     black = agent.outputs(np.zeros_like(images))[1]
     rise = (agent.outputs(images)[1] - black).numpy() / 3  # the mean over three colours
     assert np.allclose(maps.sum((1, 2)), rise, atol=0.02 * abs(rise).max())
