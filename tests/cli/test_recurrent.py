@@ -103,8 +103,8 @@ def swept(astray, agent, out):
 
 
 VERBS = (
-    evaluated, recorded, assessed, exported_lab, exported_data, audited,
-    *thorough(compared, explained, kept, pushed, distilled, swept),
+    evaluated, recorded, assessed, exported_lab, exported_data, compared, audited,
+    *thorough(explained, kept, pushed, distilled, swept),
 )  # fmt: skip
 
 
