@@ -155,7 +155,7 @@ def goals_in(
     accessible = world.accessible(start)
     if not all(np.isin(episode.trajectory.cells[0], accessible) for episode in episodes):
         raise ValueError("episodes begin in parts of the world without a way between them")
-    goals: list[Goal] = [world.cell(number) for number in accessible]
+    goals: list[Goal] = [(x, y) for x, y in world.cells[accessible].tolist()]
     columns = [accessible] * len(episodes)
     if options.goals == "accessible and true":
         goals.append(TRUE)
