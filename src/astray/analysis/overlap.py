@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from hashlib import blake2b
-from itertools import chain, pairwise
+from itertools import chain, islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -82,16 +82,16 @@ def unseen(
         ValueError: If there are too few such levels.
     """
     game = games.find(game)
-    found: list[int] = []
     looked = candidates[: SEARCHED * count]
-    for states in in_chunks(game, test, looked) if looked else ():
-        found += [int(s["level"]) for s in states if _level(game, s) not in known]
-        if len(found) >= count:
-            return np.array(found[:count])
-    raise ValueError(
-        f"of {len(looked)} levels of {game.name} that no training drew from, only "
-        f"{len(found)} are not in them; {count} are needed"
-    )
+    states = chain.from_iterable(in_chunks(game, test, looked) if looked else ())
+    new = (int(s["level"]) for s in states if _level(game, s) not in known)
+    found = [*islice(new, count)]
+    if len(found) < count:
+        raise ValueError(
+            f"of {len(looked)} levels of {game.name} that no training drew from, only "
+            f"{len(found)} are not in them; {count} are needed"
+        )
+    return np.array(found)
 
 
 def _level(game: Game, s: Any) -> bytes:
