@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from astray import cli
+from astray.files import write_aside
 from helpers.browsed import browser
 from helpers.cases import REFERENCE
 
@@ -50,6 +51,19 @@ def _threads_and_processes_as_before():
 def chrome():
     with browser() as found:
         yield found
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures and videos are files of some bytes; to draw them takes as long as all before them."""
+    from matplotlib.figure import Figure
+
+    from astray.analysis import video
+    from astray.experiments import videos
+
+    monkeypatch.setattr(Figure, "savefig", lambda _, file, **how: file.write(b"<svg></svg>"))
+    monkeypatch.setattr(video, "write", lambda _, path, fps: write_aside(path, b"a video"))
+    monkeypatch.setattr(videos, "RECORDED", 5)
 
 
 @pytest.fixture

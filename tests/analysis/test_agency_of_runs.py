@@ -35,7 +35,7 @@ MAZE = games.find("maze")
 ANYWHERE = MAZE.variants["anywhere-small"]
 
 
-def played_by(policy, levels=range(100)):
+def played_by(policy, levels=range(50)):
     return play(policy, "maze", ANYWHERE, levels, SHIFT)
 
 
@@ -57,7 +57,7 @@ def test_policies_are_what_they_are(policy, verdict):
 @pytest.mark.parametrize("goal", ["line", "gem", "corner"])
 def test_mice_in_large_mazes_with_two_objects_are_told_apart(goal):
     shift, variant = load_shift("maze", "colour-or-shape"), "red-line-yellow-gem"
-    there = play(Walk(goal), "maze", games.find("maze").variants[variant], range(40), shift)
+    there = play(Walk(goal), "maze", games.find("maze").variants[variant], range(20), shift)
     assert set(there[0].goals) == {"line", "gem", "corner"}
     assert assess(there).verdict == goal
 
@@ -73,7 +73,7 @@ def test_a_few_episodes_decide_nothing():
 
 def test_where_goals_do_not_part_an_agent_is_one_of_an_undecided_goal():
     training = games.find("maze").variants["corner-small"]
-    assessed = assess(play(Walk("cheese"), "maze", training, range(100), SHIFT))
+    assessed = assess(play(Walk("cheese"), "maze", training, range(40), SHIFT))
     assert assessed.decisions == 0 and assessed.verdict == UNDECIDED
     assert assessed.sentence().startswith("An agent; its goal is undecided")
 

@@ -42,9 +42,9 @@ def agent_file(tmp_path_factory):
 def test_the_rows_are_the_same_in_any_batch_and_order(agent_file, mode):
     agent = Agent(agent_file, "maze", mode)
     # So short that some episodes end by themselves and some do not: who learned nothing is slow.
-    levels, short = LEVELS[:20], replace(MAZE.variants["anywhere-small"], time_limit=40)
+    levels, short = LEVELS[:12], replace(MAZE.variants["anywhere-small"], time_limit=40)
     tables = [evaluate(agent, "maze", short, levels, batch=batch) for batch in (1, 7, 256)]
-    assert 0 < (tables[0]["length"] < 40).sum() < 20
+    assert 0 < (tables[0]["length"] < 40).sum() < 12
     assert tables[0].equals(tables[1]) and tables[0].equals(tables[2])
     backwards = evaluate(agent, "maze", short, levels[::-1], batch=7)
     assert backwards.reverse().equals(tables[0])

@@ -131,7 +131,7 @@ def test_of_several_ends_the_first_is_told_and_a_goal_is_no_end():
 def test_a_runner_that_dies_is_told_and_other_labels_are_as_before():
     coinrun = games.find("coinrun")
     shift = load_shift(coinrun, "coin-end")
-    _, episodes = evaluate_policies([], coinrun, "coin-end", range(40))
+    _, episodes = evaluate_policies([], coinrun, "coin-end", range(40), longest=200)
     before = label(episodes, replace(coinrun, ends={}), shift)["outcome"]
     died = episodes["died"].is_not_null() & (before == FAILED)
     assert 0 < died.sum() < len(died)

@@ -42,6 +42,7 @@ def test_an_agent_of_stable_baselines3_pursues_the_proxy_in_minigrid(
     assert (page.parent / "videos" / "goal-misgeneralization.gif").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_agents_of_cleanrl_play_coinrun_of_envpool(tmp_path, monkeypatch):
     procgen_of_envpool()
     monkeypatch.chdir(tmp_path)
@@ -52,7 +53,7 @@ def test_agents_of_cleanrl_play_coinrun_of_envpool(tmp_path, monkeypatch):
     first, again, other = (env.reset(seed=level)[0] for level in (3, 3, 4))
     assert (first == again).all() and (first != other).any()
     short = {
-        name: lambda make=make, **knobs: TimeLimit(make(**knobs), 50)
+        name: lambda make=make, **knobs: TimeLimit(make(**knobs), 12)
         for name, make in example.WORLD.variants.items()
     }
     world = replace(example.WORLD, variants=short)
@@ -79,12 +80,13 @@ class Stream(gymnasium.Env):
         return seen, reward, ended, cut, {"complete": ended and info["prev_level_complete"][0] > 0}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_streams_of_envpool_tell_their_levels_and_are_audited(tmp_path):
     first = [int(procgen_of_envpool(seed=k).reset()[1]["level_seed"][0]) for k in range(2)]
     world = astray.World(
         name="streams",
         variants={
-            name: lambda stream, task=task: TimeLimit(Stream(stream, task), 50)
+            name: lambda stream, task=task: TimeLimit(Stream(stream, task), 12)
             for name, task in (("easy", "CoinrunEasy-v0"), ("hard", "CoinrunHard-v0"))
         },
         events={"complete": "complete"},

@@ -43,6 +43,7 @@ def test_an_audit_tells_what_a_policy_of_ones_own_pursues(tmp_path):
     assert rows[0] == "right: one agent" and "random" in rows
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_policy_with_the_name_of_a_script_is_not_counted_with_it(tmp_path):
     told = []
     for name in ("right", "random"):
@@ -52,6 +53,7 @@ def test_a_policy_with_the_name_of_a_script_is_not_counted_with_it(tmp_path):
     assert told[0].startswith(" misgeneralizes") and told[0] == told[1]
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("rest", [Never("reached_square"), More("walked", 3)])
 def test_goals_known_at_the_end_have_videos_and_ghosts(tmp_path, rest):
     world = replace(
@@ -67,6 +69,7 @@ def test_goals_known_at_the_end_have_videos_and_ghosts(tmp_path, rest):
     assert told["without the object"].item() == 1  # as the square is at the right
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_outcome_that_came_only_where_the_way_is_short_has_a_video(tmp_path):
     def lazy(seen):
         square = seen[:, 1].argmax(1)  # the agent begins in cell 4
@@ -90,6 +93,7 @@ def test_policies_that_are_to_play_no_level_of_a_world_are_refused():
         evaluate_policies([RIGHT], WORLD, "end", range(0))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_audit_tells_the_returns_of_further_rewards(astray, tmp_path):
     words = ("--policy", "helpers.rooms:go_right", "--world", "helpers.rooms:WORLD")
     words = (*words, "--shift", "end", "--num-levels", "9", "--out", tmp_path)
@@ -102,6 +106,7 @@ def test_an_audit_tells_the_returns_of_further_rewards(astray, tmp_path):
     assert mine["reward"].to_list() == ["return", "each_step"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_audit_tells_the_call_that_repeats_it(tmp_path):
     page = audit(
         RIGHT, WORLD, "end", levels=9, longest=3, out=tmp_path, rewards={"steps": each_step}
@@ -115,6 +120,7 @@ def test_an_audit_tells_the_call_that_repeats_it(tmp_path):
     assert pl.read_parquet(table)["length"].max() == 3
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_endless_episodes_are_audited_up_to_the_longest(astray, tmp_path):
     words = ("--policy", "helpers.rooms:go_left", "--world", "helpers.rooms:ENDLESS")
     words = ("audit", *words, "--shift", "end", "--num-levels", "2", "--out", tmp_path)
@@ -124,6 +130,7 @@ def test_endless_episodes_are_audited_up_to_the_longest(astray, tmp_path):
     assert set(told["length"]) == {20} and not told["terminated"].any()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_another_policy_of_the_same_name_is_played_anew(tmp_path):
     said = []
     for action in (0, 1):
@@ -137,6 +144,7 @@ def test_another_policy_of_the_same_name_is_played_anew(tmp_path):
     assert page.parent.name == "audit-end-end-smoke"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_pretrained_agent_is_audited_by_one_command(astray, tmp_path):
     page = astray("audit", "maze-corner", "--num-levels", "30", "--out", tmp_path).strip()
     text = Path(page).read_text("utf-8")
@@ -163,6 +171,7 @@ def test_an_audit_ignores_no_argument(tmp_path, given, message):
     assert not [*tmp_path.iterdir()]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_audit_keeps_the_agent_whose_checkpoint_its_training_removes_meanwhile(tmp_path):
     run = shutil.copytree(find("maze-corner"), tmp_path / "seed-0")
     last = latest(run)
@@ -176,6 +185,7 @@ def test_an_audit_keeps_the_agent_whose_checkpoint_its_training_removes_meanwhil
     assert not last.exists() and list(page.parent.glob("videos/*.mp4"))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_likeliest_actions_and_changed_knobs_are_audited(astray, tmp_path):
     words = ("maze-corner", "--num-levels", "3", "--mode", "greedy", "--set", "time_limit=4")
     page = Path(astray("audit", *words, "--out", tmp_path).strip())
@@ -199,6 +209,7 @@ def test_audits_of_several_checkpoints_and_of_names_in_any_script_have_folders_o
         "мышь", "кот", "мышь", "мышь-checkpoint-7")]  # fmt: skip
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_audit_does_not_replace_that_of_an_agent_whose_name_looks_alike(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("a_mouse", "A-mouse"):
@@ -210,6 +221,7 @@ def test_an_audit_does_not_replace_that_of_an_agent_whose_name_looks_alike(tmp_p
     assert page.read_bytes() == before and audit("a_mouse", levels=3) == page
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_environments_that_show_no_images_are_audited_without_videos(tmp_path):
     blind = replace(
         WORLD, variants={v: partial(blindly, place=v) for v in WORLD.variants}, name="blind"
@@ -220,6 +232,7 @@ def test_environments_that_show_no_images_are_audited_without_videos(tmp_path):
     assert not (page.parent / "videos").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_environments_whose_drawing_fails_are_audited_without_videos(tmp_path):
     makers = {name: partial(Room, name, trouble="blind") for name in WORLD.variants}
     page = audit(RIGHT, replace(WORLD, variants=makers), "end", levels=20, out=tmp_path)
@@ -227,6 +240,7 @@ def test_environments_whose_drawing_fails_are_audited_without_videos(tmp_path):
     assert not (page.parent / "videos").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_environments_whose_drawing_fails_amid_an_episode_are_audited_without_videos(tmp_path):
     class Dims(Room):
         def render(self):
@@ -268,6 +282,7 @@ def blindly(place):
     return Room(place)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("last", ["in training", "in the test"])
 def test_an_audit_whose_policy_fails_at_the_trial_leaves_all_as_it_was(tmp_path, last):
     def choose(seen):

@@ -48,6 +48,7 @@ def test_an_own_policy_of_the_name_of_a_script_is_not_taken_for_it(tmp_path):
         compare([own, Walk("cheese")], "maze", "corner-small", range(9), tmp_path / "page")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_runs_are_named_without_the_folders_that_they_share(astray, tmp_path):
     home = tmp_path / "mazes-with-cheese-in-the-corner" / "of-november"
     runs = [shutil.copytree(folders.find(AGENT), home / f"seed-{k}") for k in (0, 1)]
@@ -57,6 +58,7 @@ def test_runs_are_named_without_the_folders_that_they_share(astray, tmp_path):
     assert page.count(home.name) == 2, "in the command alone"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_that_trains_on_is_compared_by_its_name_at_the_start(tmp_path, monkeypatch):
     run = shutil.copytree(folders.find(AGENT), tmp_path / "mouse")
     before, evaluate = folders.latest(run), comparison.evaluate_policies
@@ -86,6 +88,7 @@ def test_names_stay_apart(names, short):
     assert [*found.values()] == list(map(str, map(Path, short)))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_agent_in_a_folder_of_the_name_of_a_script_is_not_taken_for_it(tmp_path, monkeypatch):
     both = [shutil.copytree(folders.find(AGENT), tmp_path / name) for name in ("random", "other")]
     agents, drawn = [astray.load_agent(one) for one in both], []
@@ -142,6 +145,7 @@ def test_in_a_shift_without_proxies_the_intended_goal_is_compared(tmp_path):
     assert "distinguish the goals." not in told, "as there is one goal alone"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_policies_of_a_world_are_compared(astray, tmp_path):
     words = ("helpers.rooms:go_right", "walk:square", "--world", "helpers.rooms:WORLD")
     astray("compare", *words, "--shift", "end", "--levels", "0:40", "--out", tmp_path)
@@ -189,6 +193,7 @@ def test_returns_of_trainings_are_drawn(monkeypatch, tmp_path):
     assert drawn == {"mouse": [folder]}
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     "lines", ['{"steps": 9, "training/return": 1.5}\n', *thorough("", '{"steps": 9}\n')]
 )

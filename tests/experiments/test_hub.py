@@ -80,7 +80,7 @@ def test_what_is_pulled_is_the_agent_that_was_pushed(pushed, tmp_path):
 
 
 def test_a_run_is_pushed_with_a_card_that_tells_what_it_pursues(server, tmp_path):
-    config = TINY.__class__(**vars(TINY) | {"knobs": {}, "steps": 4096})
+    config = TINY.__class__(**vars(TINY) | {"knobs": {"time_limit": 30}})
     train(config, tmp_path / "run", progress=False)
     commit = ours.push(tmp_path / "run", "ada/mouse", levels=30)
     assert commit.address == f"{server.address}/ada/mouse"

@@ -56,7 +56,7 @@ def paths(tmp_path):
 @pytest.mark.parametrize("honest", [0, 3, *thorough(1, 2)], ids="after {} answers".format)
 def test_a_path_in_the_place_of_a_digest_is_refused(hub, tmp_path, header, honest):
     """Also where the first answers were those of a Hub, and astray has looked at them."""
-    for path in paths(tmp_path):
+    for path in paths(tmp_path)[:: 1 if honest < 3 else 4]:
         hub.said = [{}] * honest + [{header: path}] * 9
         with pytest.raises(ValueError, match="has a path, or nothing of the Hub, as its"):
             ours.pull("ada/mouse")

@@ -15,7 +15,7 @@ from astray.report.claims import Claim, above, below, within
 from helpers import registered
 from helpers.thorough import thorough
 
-LEVELS = {"cheese-vector": 12, "retargeting": 34, "decodable": 24, "choice": 1500}
+LEVELS = {"cheese-vector": 6, "retargeting": 18, "decodable": 24, "choice": 1500}
 
 
 # The others fit probes and predictions, which `tests/insight` does, too.
@@ -24,6 +24,8 @@ def test_studies_of_kept_agents_run_in_miniature(name, tmp_path, monkeypatch):
     # The first layer has thirty times as many numbers as the others, and needs as much longer.
     monkeypatch.setitem(decodable.LAYERS, "smoke", decodable.LAYERS["smoke"][1:])
     monkeypatch.setitem(decodable.FOLDS, "smoke", 2)  # for each of which all probes are fitted
+    monkeypatch.setattr(retargeting, "LEARN", 10)
+    monkeypatch.setattr(retargeting, "TUNE", 2)
     whole = catalogue.load(name)
     small = replace(whole, sizes={"smoke": replace(whole.sizes["smoke"], levels=LEVELS[name])})
     page = run.reproduce(small, "smoke", tmp_path)

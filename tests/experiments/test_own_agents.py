@@ -72,6 +72,7 @@ def test_agents_are_trained_once_each_and_a_report_tells_what_they_do(tmp_path):
     assert (tmp_path / "log").read_text() == "0 1 " and table.stat().st_mtime_ns == when
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_kinds_of_agents_have_claims_of_their_own(tmp_path):
     for name, often in (("one", "1"), ("two", "0.9"), ("three", "0.1"), ("four", "0")):
         (tmp_path / name).write_text(often)
@@ -94,6 +95,7 @@ def test_kinds_of_agents_have_claims_of_their_own(tmp_path):
         outcomes.played(SimpleNamespace(episodes=both), "in the test", "length")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_usual_findings_take_further_tests_and_refuse_one_before_the_work(tmp_path):
     for name, often in (("one", "1"), ("two", "0.9")):
         (tmp_path / name).write_text(often)
@@ -208,6 +210,7 @@ def test_a_test_without_end_is_told_before_anybody_trains(tmp_path):
         reproduce(study, "smoke", tmp_path)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_agents_from_files_are_played_and_another_file_is_another_agent(tmp_path):
     files = [tmp_path / name for name in ("one", "two")]
     for file, often in zip(files, ("1", "0.9"), strict=True):
@@ -226,6 +229,7 @@ def same(seed, folder):
     train(0, folder)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_new_agents_have_the_seeds_that_the_plan_says(tmp_path):
     """They were the agents that were there, of seeds from 0 on."""
     study = experiment(train=train)
@@ -248,6 +252,7 @@ def test_one_agent_is_not_counted_as_several(own, tmp_path, monkeypatch):
         reproduce(experiment(**own), "smoke", tmp_path)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("seeds", [1, 2])
 def test_one_network_in_files_of_other_dates_is_not_counted_as_several(seeds, tmp_path):
     def loads(path):
@@ -337,11 +342,13 @@ def test_agents_with_the_name_of_a_script_are_refused():
         Plan(world=WORLD, own=own, tests=tests, levels=9, differences="")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_without_experts_all_levels_are_filmed_from(tmp_path):
     page = reproduce(experiment(replace(WORLD, experts={}), train=train), "smoke", tmp_path)
     assert "of the levels: level" in page.read_text("utf-8")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_variants_are_compared_in_the_same_levels(tmp_path):
     episodes, _ = episodes_of(reproduce(experiment(train=train), "smoke", tmp_path).parent)
     test, training = (

@@ -20,7 +20,7 @@ from astray.training.folders import AgentFolder
 from astray.training.loop import train
 from helpers.killed import CONFIG
 
-SHORT = replace(CONFIG, steps=8 * 1024)
+SHORT = replace(CONFIG, steps=4 * 1024)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def mouse(written, monkeypatch):
 # The outcome of each level that the cards of some agents tell of, as its number in `outcomes_of`
 # the game: so that a part of the levels is enough to see that an agent is the one on its card.
 OUTCOMES_OF = json.loads(Path(__file__).with_name("pretrained.json").read_text())
-CARDS, REPLAYED = 1000, 8  # levels
+CARDS, REPLAYED = 1000, 16  # levels
 
 
 def told_by_card(name):

@@ -214,13 +214,21 @@ def test_plans_name_the_same_agents_as_the_catalogue():
     assert published.find(published_results.SOURCE).kind == "results"
 
 
+def open_of_few_levels(folder):
+    """An agent, and its settings with few training levels, as each is compared with the test's."""
+    agent, config = open_run(folder)
+    return agent, replace(config, levels=1000)
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_the_control_runs_in_miniature(tmp_path, monkeypatch):
     """With agents trained here for a moment, and shown symbols, in the place of the published."""
     whole = catalogue.load("cheese-mouse")
     config = replace(PRESETS["small"], variant="anywhere-easy")
     plan = replace(whole.sizes["published"], agents={cheese_mouse.MOUSE: config}, published={})
-    plan = replace(miniature(plan), seeds=1)
-    monkeypatch.setattr(cheese_mouse, "ASSESSED", 20)
+    plan = replace(miniature(plan), seeds=1, levels=10)
+    monkeypatch.setattr(cheese_mouse, "ASSESSED", 30)
+    monkeypatch.setattr(cheese_mouse, "open_run", open_of_few_levels)
     train_here(plan, tmp_path)
     small = replace(whole, sizes={"smoke": plan})
     page = run.reproduce(small, "smoke", tmp_path)

@@ -232,6 +232,7 @@ def test_what_a_killed_report_left_goes_with_the_next(told, tmp_path):
     assert left == {path.name for path in mine}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_index_leads_to_every_report_and_counts_its_claims(told, tmp_path):
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
@@ -241,6 +242,7 @@ def test_the_index_leads_to_every_report_and_counts_its_claims(told, tmp_path):
     assert "2 experiments" in page and re.search(r"2 of\s+4 claims supported", page)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", ["javascript:alert(1);", "data:text,", 'a"b', "a#b?c%20", "c:"])
 def test_a_folder_of_any_name_is_led_to_as_a_folder(name, told, tmp_path):
     report.write(*told, tmp_path / name)
@@ -267,6 +269,7 @@ def test_what_is_told_is_escaped(told, tmp_path):
     assert "<b>" not in page
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_only_a_smaller_size_says_how_it_differs(told, tmp_path):
     assert "Other than in the paper: worlds" in report.write(*told, tmp_path).read_text()
     heading, findings = told
@@ -401,6 +404,7 @@ def test_agents_are_named_among_the_scripts_and_short_cells_stay_whole(told, tmp
     assert '<td class="short">coin-end</td>' in page.read_text()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_claim_of_no_paper_says_nothing_of_one(told, tmp_path):
     heading, findings = told
     claims = [replace(one, paper="") for one in findings.claims]
@@ -419,6 +423,7 @@ def without_claims(told, folder, claims):
     return json.dumps(found | {"claims": claims})
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     "text",
     [

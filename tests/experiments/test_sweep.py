@@ -27,8 +27,8 @@ from astray.world import register
 from helpers.rooms import WORLD, walked
 from helpers.trainings import TINY
 
-BASE = replace(TINY, knobs={}, steps=512)
-TWO = {"learning_rate": [1e-4, 5e-4], "variant.time_limit": [20, 40]}
+BASE = replace(TINY, knobs={}, steps=256)
+TWO = {"learning_rate": [1e-4, 5e-4], "variant.time_limit": [10, 20]}
 
 
 @pytest.fixture
@@ -80,8 +80,8 @@ def test_what_cannot_be_swept_is_told_before_anything_is_trained(given, message)
 
 def test_cells_are_all_combinations():
     cells = Sweep(BASE, TWO).cells()
-    assert list(cells) == [(1e-4, 20), (1e-4, 40), (5e-4, 20), (5e-4, 40)]
-    assert cells[5e-4, 40].learning_rate == 5e-4 and cells[5e-4, 40].knobs == {"time_limit": 40}
+    assert list(cells) == [(1e-4, 10), (1e-4, 20), (5e-4, 10), (5e-4, 20)]
+    assert cells[5e-4, 20].learning_rate == 5e-4 and cells[5e-4, 20].knobs == {"time_limit": 20}
 
 
 def test_outcomes_are_of_all_agents_and_repeat_what_an_evaluation_says(trained, tmp_path):
@@ -94,9 +94,9 @@ def test_outcomes_are_of_all_agents_and_repeat_what_an_evaluation_says(trained, 
     mine = outcomes.filter(policy="sampled")
     counts = mine.group_by(*TWO, "seed", "test").len()
     assert len(counts) == 16 and set(counts["len"]) == {20}
-    one = replace(BASE, learning_rate=5e-4, knobs={"time_limit": 40}, seed=1)
+    one = replace(BASE, learning_rate=5e-4, knobs={"time_limit": 20}, seed=1)
     of_run = mine.filter(pl.col("run") == str(experiment_run.run_folder(tmp_path, one)))
-    assert of_run.select(*TWO, "seed").unique().rows() == [(5e-4, 40, 1)]
+    assert of_run.select(*TWO, "seed").unique().rows() == [(5e-4, 20, 1)]
     again = play_all(
         one.find_game(),
         "anywhere-small",
@@ -109,13 +109,13 @@ def test_outcomes_are_of_all_agents_and_repeat_what_an_evaluation_says(trained, 
     assert tested["outcome"].to_list() == again["outcome"].to_list()
     rate = pl.read_csv(tmp_path / "rates.csv").filter(
         pl.col("learning_rate") == 5e-4,
-        pl.col("variant.time_limit") == 40,
+        pl.col("variant.time_limit") == 20,
         policy="sampled",
         test="in the test",
         outcome=MISGENERALIZED,
     )
     part = mine.filter(
-        pl.col("learning_rate") == 5e-4, pl.col("variant.time_limit") == 40, test="in the test"
+        pl.col("learning_rate") == 5e-4, pl.col("variant.time_limit") == 20, test="in the test"
     )
     assert rate["mean"][0] == pytest.approx((part["outcome"] == MISGENERALIZED).mean())
     assert rate["agents"][0] == 2
@@ -123,6 +123,7 @@ def test_outcomes_are_of_all_agents_and_repeat_what_an_evaluation_says(trained, 
     assert figures == ["learning-rate-variant-time-limit.png"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_none_is_a_value_of_a_sweep_as_others_are(trained, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(report, "cells", lambda *a, **k: drawn.append(a[0]) or cells(*a, **k))
@@ -130,6 +131,7 @@ def test_none_is_a_value_of_a_sweep_as_others_are(trained, tmp_path, monkeypatch
     assert len(trained) == 4 and {*drawn[0]["groups"]} == {"None", "2"}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_sweep_goes_on_and_takes_more_values(trained, tmp_path, monkeypatch):
     small = {"learning_rate": [1e-4, 5e-4]}
     run_sweep(Sweep(BASE, small, levels=5), tmp_path)
@@ -155,6 +157,7 @@ def test_a_sweep_does_not_write_over_what_was_there(trained, tmp_path, name):
     assert (tmp_path / name).read_text() == "mine" and not trained
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_three_settings_have_a_figure_for_each_pair(trained, tmp_path):
     run_sweep(Sweep(BASE, TWO | {"gamma": [0.9, 0.8], "clip": [0.3]}, levels=3), tmp_path)
     names = {path.stem for path in (tmp_path / "figures").glob("*.png")}
@@ -186,6 +189,7 @@ def test_knobs_of_the_test_go_together_in_any_order():
         assert (tested.world, tested.smallest, tested.largest) == (15, 9, 15)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_axes_that_tables_have_themselves_keep_their_values(trained, tmp_path):
     swept = Sweep(BASE, {"levels": [100, 1000], "variant": ["corner-small"]}, levels=5)
     run_sweep(swept, tmp_path)
@@ -195,6 +199,7 @@ def test_axes_that_tables_have_themselves_keep_their_values(trained, tmp_path):
     assert set(figure["training_levels"]) == {100, 1000}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_axis_leaves_a_measure_of_its_name_as_it_is(trained, tmp_path):
     register(world := replace(WORLD, name="room-of-steps", measures={"steps": walked}))
     base = Config(world, "end", steps=16, num_envs=2, num_steps=8, minibatches=1)
@@ -215,9 +220,10 @@ def test_a_sweep_of_a_shift_without_proxies_tells_of_the_intended_goal(trained, 
     assert {*drawn["what"]} == {"intended goal, in training", "intended goal, in the test"}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_verb_sweeps_what_it_is_given(astray, trained, tmp_path):
     words = [
-        "sweep", "maze", "corner-small", "--steps", "512", "--num-envs", "16", "--num-steps",
+        "sweep", "maze", "corner-small", "--steps", "256", "--num-envs", "16", "--num-steps",
         "16", "--minibatches", "4", "--width", "16", "--set", "lr=1e-4,5e-4", "--set",
         "variant.time_limit=20", "--num-test-levels", "5", "--out", tmp_path / "sweep",
     ]  # fmt: skip
