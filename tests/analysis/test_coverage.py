@@ -95,8 +95,8 @@ def test_intervals_hold_the_truth_where_one_agent_has_most_of_the_episodes(count
         [[(count + LEVELS - 1 - at) // LEVELS for at in range(LEVELS)] for count in counts]
     )
     for middle, spread in itertools.product((HALF, NEARLY_ALL), (SMALL, LARGE)):
-        chance = expit(middle + random.normal(0, spread, (TIMES, agents, 1)))
-        sums = random.binomial(weights, np.broadcast_to(chance, (TIMES, *weights.shape)))
+        chance = expit(middle + random.normal(0, spread, (MANY, agents, 1)))
+        sums = random.binomial(weights, np.broadcast_to(chance, (MANY, *weights.shape)))
         truth = expected(middle, spread)
         found = [estimate_mean(one, weights, rate=True) for one in sums]
         held = np.mean([one.low <= truth <= one.high for one in found])
@@ -132,10 +132,10 @@ def test_of_one_agent_few_episodes_cover_rates_in_the_middle_and_less_often_near
 def test_differences_of_kinds_hold_the_truth_as_often_as_they_say(agents):
     for middle, spread, pooled in itertools.product((HALF, 2.5), (SMALL, LARGE), (False, True)):
         random = np.random.default_rng([agents, int(10 * middle), int(100 * spread)])
-        level = random.normal(0, HARD, (TIMES, 1, 1, LEVELS))
-        agent = random.normal(0, spread, (TIMES, 4, agents, 1))
+        level = random.normal(0, HARD, (MANY, 1, 1, LEVELS))
+        agent = random.normal(0, spread, (MANY, 4, agents, 1))
         kind = np.array([HALF, middle, 1.0, 1.5])[:, None, None]
-        success = random.random((TIMES, 4, agents, LEVELS)) < expit(kind + agent + level)
+        success = random.random((MANY, 4, agents, LEVELS)) < expit(kind + agent + level)
         both = expected(np.array([HALF, middle]), np.hypot(spread, HARD))
         truth = both[0] - both[1]
         found = [
