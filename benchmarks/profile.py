@@ -28,6 +28,7 @@ from benchmarks import tables
 from benchmarks.tables import decimal
 
 SIDE = 4096  # of the large product on a GPU; a quarter of it on a CPU
+COPIED = 2**27  # bytes
 
 
 @dataclass(frozen=True)
@@ -160,6 +161,6 @@ def _product_rate(bfloat16: bool, device: str) -> float:
 
 def _copy_rate(device: str) -> float:
     """Bytes per second read and written by a copy within the device's memory."""
-    x = torch.ones(2**27, dtype=torch.uint8, device=device)
+    x = torch.ones(COPIED, dtype=torch.uint8, device=device)
     y = torch.empty_like(x)
     return 2 * len(x) / _median(lambda: y.copy_(x), device, 5)

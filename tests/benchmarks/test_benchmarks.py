@@ -30,6 +30,13 @@ def speed(row):
     return row.steps_per_second
 
 
+@pytest.fixture
+def small(monkeypatch):
+    """The rates of a product and a copy are measured with small ones."""
+    monkeypatch.setattr(profile, "SIDE", 256)
+    monkeypatch.setattr(profile, "COPIED", 2**20)
+
+
 @pytest.fixture(scope="module")
 def rows():
     with pytest.MonkeyPatch.context() as patch:
@@ -80,14 +87,14 @@ def test_a_world_without_an_original_is_measured_alone():
 
 def test_a_game_is_measured_beside_envpool():
     procgen_of_envpool()
-    rows = environments.measure_game("maze", "anywhere", "MazeHard-v0", 0.01, 1, batches=(4, 8))
+    rows = environments.measure_game("maze", "anywhere", "MazeHard-v0", 0.01, 1, batches=(4,))
     peer = next(row for row in rows if row.what == "EnvPool MazeHard-v0")
     assert rows[0].to_peer == speed(rows[0]) / speed(peer)
 
 
 def test_without_envpool_the_row_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "envpool", None)
-    rows = environments.measure_game("maze", "anywhere", "MazeHard-v0", 0.01, 1, batches=(4, 8))
+    rows = environments.measure_game("maze", "anywhere", "MazeHard-v0", 0.01, 1, batches=(4,))
     peer = next(row for row in rows if row.what == "EnvPool MazeHard-v0")
     assert "pip install envpool" in peer.note and peer.steps_per_second is None
     assert rows[0].to_peer is None
@@ -119,7 +126,7 @@ def test_a_world_is_measured_beside_a_plain_loop():
     assert row.plain > 0 and row.cells()["ratio"] == f"{row.world / row.plain:.2f}"
 
 
-def test_training_is_measured_beside_stable_baselines3():
+def test_training_is_measured_beside_stable_baselines3(small):
     pytest.importorskip("stable_baselines3")
     threads = torch.get_num_threads()
     ours, peer, *_ = train.measure([TINY], seconds=0.02, rounds=2)
@@ -128,7 +135,7 @@ def test_training_is_measured_beside_stable_baselines3():
     assert torch.get_num_threads() == threads
 
 
-def test_without_stable_baselines3_the_row_says_how_to_install_it(monkeypatch):
+def test_without_stable_baselines3_the_row_says_how_to_install_it(small, monkeypatch):
     monkeypatch.delitem(sys.modules, "benchmarks.sb3", raising=False)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     ours, peer, *_ = train.measure([TINY], seconds=0.02, rounds=2)
@@ -136,9 +143,9 @@ def test_without_stable_baselines3_the_row_says_how_to_install_it(monkeypatch):
     assert "pip install stable-baselines3" in peer.note
 
 
-def test_training_on_images_is_measured_beside_plain_loops(monkeypatch):
+def test_training_on_images_is_measured_beside_plain_loops(small, monkeypatch):
     monkeypatch.setitem(sys.modules, "envpool", None)
-    config = replace(train.IMAGES, num_envs=4, num_steps=4, minibatches=2)
+    config = replace(train.IMAGES, num_envs=2, num_steps=2, minibatches=1, epochs=1)
     rows = train.measure([config], seconds=0.02, rounds=1)
     ours, missing, plain, original, *parts = rows
     assert speed(ours) > 0 and "pip install envpool" in missing.note
@@ -155,7 +162,7 @@ def one_thread():
     torch.set_num_threads(before)
 
 
-def test_the_parts_of_an_iteration_come_near_to_the_whole(one_thread):
+def test_the_parts_of_an_iteration_come_near_to_the_whole(small, one_thread):
     config = replace(train.SYMBOLIC[0], num_envs=64, num_steps=16, minibatches=4)
     *parts, minibatch, whole = profile.measure(config, rounds=3)
     assert minibatch.part == "a minibatch, whole" and whole.fraction == 1
