@@ -9,6 +9,7 @@ import sys
 import pytest
 
 import astray
+from helpers.processes import begin
 
 # Modules that are no part of the public: tests, and what runs a program.
 MODULES = sorted(
@@ -18,7 +19,7 @@ MODULES = sorted(
 )
 
 PROGRAM = """
-import importlib, json, os, signal, sys, threading
+import importlib, json, os, signal, sys, tempfile, threading
 
 import gymnasium, matplotlib, numba, polars, torch  # what these do when imported is theirs
 import torch.distributed
@@ -44,6 +45,7 @@ def settings():
         "folder": os.getcwd(),
     }
 
+tempfile.tempdir = None  # as in a process that has not asked for it
 before = settings() | os.environ
 for name in sys.argv[1:]:
     importlib.import_module(name)
@@ -66,15 +68,10 @@ def fresh(tmp_path_factory):
         for k, v in os.environ.items()
         if not k.startswith(("XDG_", "NUMBA_", "ASTRAY_", "TMPDIR", "COV"))
     }
-    done = subprocess.run(
-        [sys.executable, "-B", "-c", PROGRAM, *MODULES],
-        cwd=home,
-        capture_output=True,
-        text=True,
-        env=kept | {name: str(path) for name, path in folders.items()},
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout), home
+    known = kept | {name: str(path) for name, path in folders.items()}
+    code, out, err = begin(PROGRAM, home, *MODULES, env=known).ended()
+    assert code == 0, err
+    return json.loads(out), home
 
 
 def test_there_are_modules_of_every_folder():

@@ -13,6 +13,7 @@ from packaging.specifiers import SpecifierSet
 
 import astray
 from astray import games, imports
+from helpers.processes import begin
 from helpers.thorough import thorough
 
 ROOT = Path(__file__).parents[1]
@@ -127,6 +128,8 @@ class Missing:
             raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
 
 sys.meta_path.insert(0, Missing)
+for name in [name for name in sys.modules if name.partition(".")[0] in {names}]:
+    del sys.modules[name]
 """
 STEP = """
 import gymnasium, numpy, astray
@@ -140,17 +143,17 @@ for game in games.OWN:
 """
 
 
-def without_extras(program, *names):
+def without_extras(program, folder, *names):
     """Run a program where no library of an extra can be imported, or none of these names."""
     names = {*names} or {package(one) for each in EXTRAS.values() for one in each} - {"astray"}
     program = BARE.format(names=names) + program
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    return begin(program, folder).ended()
 
 
-def test_environments_need_no_library_of_an_extra():
-    done = without_extras(STEP)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == ["(2, 64, 64, 3)"] * len(games.OWN)
+def test_environments_need_no_library_of_an_extra(tmp_path):
+    code, out, err = without_extras(STEP, tmp_path)
+    assert code == 0, err
+    assert out.splitlines() == ["(2, 64, 64, 3)"] * len(games.OWN)
 
 
 NEEDS_MORE = """
@@ -163,16 +166,17 @@ for name in ("Config", "evaluate", "reproduce", "train"):
 """
 
 
-def test_what_needs_more_than_environments_says_which_extra():
-    said = without_extras(NEEDS_MORE).stdout.splitlines()
-    for name, line in zip(("Config", "evaluate", "reproduce", "train"), said, strict=True):
+def test_what_needs_more_than_environments_says_which_extra(tmp_path):
+    _, said, _ = without_extras(NEEDS_MORE, tmp_path)
+    names = ("Config", "evaluate", "reproduce", "train")
+    for name, line in zip(names, said.splitlines(), strict=True):
         needs = rf'astray.{name} needs \w+: pip install ".\[train\]" in a clone of astray'
         assert re.fullmatch(needs, line)
 
 
-def test_the_command_says_which_extra_it_needs():
-    done = without_extras("from astray import cli; cli.main()")
-    assert done.stderr.splitlines() == [
+def test_the_command_says_which_extra_it_needs(tmp_path):
+    _, _, err = without_extras("from astray import cli; cli.main()", tmp_path)
+    assert err.splitlines() == [
         'astray: the command astray needs tyro: pip install ".[train]" in a clone of astray'
     ]
 
@@ -190,12 +194,14 @@ def test_the_command_says_which_extra_it_needs():
     ],
 )
 def test_a_verb_says_which_extra_a_single_missing_library_is_of(library, words, tmp_path):
-    program = f"import os, sys; os.chdir({str(tmp_path)!r}); sys.argv[1:] = {words.split()}"
-    done = without_extras(f"{program}\nfrom astray import cli; cli.main()", library)
-    assert done.stderr.splitlines() == [
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    program = f"sys.argv[1:] = {words.split()}\nfrom astray import cli; cli.main()"
+    _, _, err = without_extras(program, folder, library)
+    assert err.splitlines() == [
         f'astray: the command astray needs {library}: pip install ".[train]" in a clone of astray'
     ]
-    assert not list(tmp_path.iterdir())
+    assert not list(folder.iterdir())
 
 
 @pytest.mark.parametrize("name", ["of_a_user", "torch_geometric", "astray.of_mine", "ray"])

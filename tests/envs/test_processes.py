@@ -17,7 +17,8 @@ import pytest
 
 from astray.envs.vector import GameVectorEnv
 from helpers.anything import MORE
-from helpers.processes import environment
+from helpers.lava import GAME
+from helpers.processes import begin, environment
 from helpers.walks import made, walk, walk_and_send
 
 
@@ -75,19 +76,23 @@ def test_two_threads_step_two_environments():
 
 
 PLAY = """
-import hashlib, json, sys
+import hashlib, json
+from astray.envs.vector import GameVectorEnv
 from astray.kernel.jit import code_folder
-from helpers.walks import made, walk
-digest = hashlib.sha256(walk(made(1))).hexdigest()
-print(json.dumps({"digest": digest, "folder": code_folder()}))
+from helpers.lava import GAME  # compiled sooner than astray's own
+from helpers.walks import walk
+env = GameVectorEnv(GAME, "lava", 8)
+digest = hashlib.sha256(walk(env)).hexdigest()
+hits = sum(env._loop.stats.cache_hits.values())
+print(json.dumps({"digest": digest, "hits": hits, "folder": code_folder()}))
 """
 WARN = """
 import json, os, warnings
 with warnings.catch_warnings(record=True) as said:
     warnings.simplefilter("always")
     import numpy as np
-    from astray.kernel.grid import distances
-    distances(np.ones((3, 3), bool), 1, 1)
+    from astray.kernel.rng import fill_fractions
+    fill_fractions(1, 2, np.zeros(3))
 from astray.kernel.jit import code_folder
 folder = code_folder()
 said = [str(w.message) for w in said if w.category is UserWarning]
@@ -95,36 +100,35 @@ print(json.dumps({"said": said, "folder": folder, "there": os.path.exists(folder
 """
 
 
-def start(program, home):
-    """Another Python that keeps its compiled code under `home`."""
-    env = environment(NUMBA_CACHE_DIR="", XDG_CACHE_HOME=str(home))
-    words = [sys.executable, "-c", program]
-    return subprocess.Popen(
-        words, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+def under(home):
+    """The environment of a process that keeps its compiled code under `home`."""
+    return environment(NUMBA_CACHE_DIR="", XDG_CACHE_HOME=str(home))
 
 
-def told(process):
-    said, error = process.communicate(timeout=300)
-    assert process.returncode == 0, error
+def told(code, said, error):
+    assert code == 0, error
     return json.loads(said)
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_processes_that_start_at_once_share_what_one_compiles(tmp_path):
-    expected = hashlib.sha256(walk(made(1))).hexdigest()
-    both = [told(process) for process in [start(PLAY, tmp_path) for _ in range(2)]]
+    expected = hashlib.sha256(walk(GameVectorEnv(GAME, "lava", 8))).hexdigest()
+    begun = [begin(PLAY, tmp_path, env=under(tmp_path / "home")) for _ in range(2)]
+    both = [told(*one.ended()) for one in begun]
     assert [one["digest"] for one in both] == [expected] * 2
     (folder,) = {one["folder"] for one in both}
     entries = [name for _, _, names in os.walk(folder) for name in names if name.endswith(".nbc")]
     # Each compiled once.
+    assert sorted(one["hits"] for one in both) == [0, 1]
     assert sorted(name.partition("_")[0] for name in entries) == ["loops.fill", "loops.run"]
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_a_home_that_cannot_be_written_is_warned_of_once(tmp_path):
     (tmp_path / "home").write_text("a file, where a folder should be")
-    one = told(start(WARN, tmp_path / "home"))
+    words = [sys.executable, "-c", WARN]  # which ends as Python does
+    done = subprocess.run(words, env=under(tmp_path / "home"), capture_output=True, text=True)
+    one = told(done.returncode, done.stdout, done.stderr)
     assert len(one["said"]) == 1 and "compiled code is not kept" in one["said"][0]
     assert one["there"] and not os.path.exists(one["folder"])  # a temporary folder, then none
 

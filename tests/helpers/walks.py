@@ -10,7 +10,9 @@ STEPS = 50
 def walk(env, seed=3):
     """All that an environment shows in some steps, as bytes."""
     first, _ = env.reset(seed=seed)
-    actions = np.random.default_rng(seed).integers(15, size=(STEPS, env.num_envs))
+    actions = np.random.default_rng(seed).integers(
+        len(env.game.actions), size=(STEPS, env.num_envs)
+    )
     return first.tobytes() + b"".join(env.step(action)[0].tobytes() for action in actions)
 
 

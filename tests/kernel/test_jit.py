@@ -20,7 +20,7 @@ from astray.games import maze
 from astray.games.coinrun import rules as others
 from astray.kernel.jit import code_digest, entry, one_at_a_time, specialise
 from astray.kernel.stored import Stored
-from helpers.processes import environment
+from helpers.processes import begin, environment
 
 ROOM = Path(__file__).parents[2] / "examples/open-room/src"
 FUNCTIONS = """
@@ -33,6 +33,14 @@ def made(reward):
     def step(s): return reward
     return step
 """
+
+
+def ran(program, *words, **changes):
+    """What the file of a program prints, word by word, run by a process of its own."""
+    run = f"import runpy; runpy.run_path({os.fspath(program)!r})"
+    code, out, err = begin(run, program.parent, *words, env=environment(**changes)).ended()
+    assert code == 0, err
+    return out.split()
 
 
 @pytest.fixture
@@ -155,13 +163,9 @@ print(go(1), sum(go.stats.cache_hits.values()))
 def test_compiled_code_is_new_after_a_change_of_a_value_that_a_module_reads(tmp_path):
     program, values, told = tmp_path / "program.py", tmp_path / "values.json", []
     program.write_text(READ)
-    known = environment(NUMBA_CACHE_DIR=str(tmp_path / "cache"))
     for speed, place in ((1, 10), (1, 10), (2, 10), (2, 20)):
         values.write_text(json.dumps({"speed": speed, "places": [0, place]}))
-        words = [sys.executable, program, values]
-        done = subprocess.run(words, env=known, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        told.append(done.stdout.split())
+        told.append(ran(program, values, NUMBA_CACHE_DIR=str(tmp_path / "cache")))
     assert told == [["12", "0"], ["12", "1"], ["13", "0"], ["23", "0"]]
 
 
@@ -414,22 +418,19 @@ print(*map(code_digest, (numpys, builtins, methods, attributes, sums)))
 @COMPILED
 def test_what_is_overloaded_for_all_code_is_in_its_digest(tmp_path):
     (tmp_path / "program.py").write_text(OVERLOADED)  # each alone: a process keeps overloads
-    told = []
-    for speed in "112":
-        words = [sys.executable, tmp_path / "program.py", speed]
-        done = subprocess.run(words, env=environment(), capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        told.append(done.stdout.split())
+    told = [ran(tmp_path / "program.py", speed) for speed in "112"]
     assert told[0] == told[1]
     assert all(one != other != "None" for one, other in zip(told[1], told[2], strict=True))
 
 
 DISTANCES = """
+from pathlib import Path
 import numpy as np
+import astray
 from astray.kernel.grid import distances
 
 distances(np.ones((1, 1), bool), 0, 0)
-print(sum(distances.stats.cache_hits.values()))
+print(Path(astray.__file__).parents[1], sum(distances.stats.cache_hits.values()))
 """
 
 
@@ -437,17 +438,11 @@ print(sum(distances.stats.cache_hits.values()))
 def test_another_installation_of_the_same_code_does_not_compile_it_again(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "astray").symlink_to(Path(astray.__file__).parent)
-    known, told = environment(NUMBA_CACHE_DIR=str(tmp_path / "cache")), []
-    for folder in (Path(astray.__file__).parents[1], tmp_path / "elsewhere"):
-        done = subprocess.run(
-            [sys.executable, "-c", DISTANCES],
-            env=known | {"PYTHONPATH": str(folder)},
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 0, done.stderr
-        told.append(done.stdout.split())
-    assert told == [["0"], ["1"]]
+    program, known = tmp_path / "program.py", {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    program.write_text(DISTANCES)
+    folders = (Path(astray.__file__).parents[1], tmp_path / "elsewhere")
+    told = [ran(program, PYTHONPATH=str(folder), **known) for folder in folders]
+    assert told == [[str(folders[0]), "0"], [str(folders[1]), "1"]]
 
 
 PAID = """
