@@ -49,7 +49,7 @@ def test_it_is_the_discounted_sum_of_log_ratios_for_the_best_rationality():
 
     def sum_of(beta):
         value = np.zeros(len(world))
-        for _ in range(400):
+        for _ in range(100):
             gain = beta * (world.after == goal) + discount * value[world.after]
             value = np.log(np.exp(gain).mean(1))
             value[goal] = 0

@@ -54,7 +54,7 @@ CALLED = {  # rate called agents by the paper's measure and the calibrated one: 
 def test_the_calibrated_measure_is_not_fooled_by_policies_without_a_goal(name):
     (walker, *bounds), world = CALLED[name], MAPS["four rooms"]()
     rng, goal, episodes = np.random.default_rng(0), (3, 16), []
-    for begin in rng.choice(np.arange(60, len(world)), 60):
+    for begin in rng.choice(np.arange(60, len(world)), 30):
         walked = wander(world, walker, world.cell(begin), 50, rng)
         there = np.flatnonzero(walked.cells == world.number(goal))
         if name == "agent" and len(there):

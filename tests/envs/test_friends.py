@@ -2,6 +2,7 @@
 
 import sys
 import types
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -12,7 +13,7 @@ from gymnasium.wrappers import RecordVideo
 from gymnasium.wrappers import vector as wrappers
 from torch import nn
 
-import astray  # noqa: F401, registers the environments
+from astray import games  # and registers the environments
 
 ID = "astray/maze-corner-small-v0"
 
@@ -26,7 +27,12 @@ def test_stable_baselines3_trains_on_it():
     from astray.envs.sb3 import GameVecEnv
 
     env = GameVecEnv(vector(autoreset_mode="SameStep"))
-    options = {"n_steps": 32, "batch_size": 64, "policy_kwargs": {"normalize_images": False}}
+    options = {
+        "n_steps": 32,
+        "batch_size": 64,
+        "n_epochs": 2,
+        "policy_kwargs": {"normalize_images": False},
+    }
     model = stable_baselines3.PPO("MlpPolicy", env, seed=0, device="cpu", **options)
     before = [p.clone() for p in model.policy.parameters()]
     model.learn(3 * 32 * 8)
@@ -63,8 +69,8 @@ def test_torchrl_trains_on_it():
     )
     critic = ValueOperator(body(1), in_keys=["observation"])
     with torch.no_grad():
-        data = env.rollout(200, actor, break_when_any_done=False)
-    assert data.batch_size == (8, 200) and data["observation"].dtype == torch.uint8
+        data = env.rollout(110, actor, break_when_any_done=False)
+    assert data.batch_size == (8, 110) and data["observation"].dtype == torch.uint8
     assert data["next", "reward"].max() == 10 and data["next", "done"].any()
     loss = ClipPPOLoss(actor, critic)
     advantage = GAE(gamma=0.99, lmbda=0.95, value_network=critic)
@@ -169,14 +175,16 @@ def videos(monkeypatch):
 
 
 def test_videos_are_recorded(videos, tmp_path):
-    env = RecordVideo(gymnasium.make(ID, render_mode="rgb_array"), str(tmp_path / "videos"))
+    short = replace(games.find("maze").variant("corner-small"), time_limit=20)
+    made = gymnasium.make(ID, variant=short, render_mode="rgb_array")
+    env = RecordVideo(made, str(tmp_path / "videos"))
     env.reset(seed=0)
     ended = False
     while not ended:
         _, _, terminated, truncated, _ = env.step(4)
         ended = terminated or truncated
     env.close()
-    assert [video.shape for video in videos] == [(101, 512, 512, 3)]  # the beginning, and 100 steps
+    assert [video.shape for video in videos] == [(21, 512, 512, 3)]  # the beginning, and 20 steps
 
 
 def test_frames_of_a_batch_are_recorded(videos, tmp_path):

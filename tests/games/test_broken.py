@@ -21,6 +21,7 @@ from astray.kernel.jit import kernel
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
 from helpers.guests import offer
+from helpers.thorough import thorough
 
 SOURCES = {
     "raises": "raise RuntimeError('it lacks a file')",
@@ -253,7 +254,7 @@ def test_a_game_that_changes_the_current_folder_leaves_the_users(tmp_path, monke
     games._offered.cache_clear()
 
 
-@pytest.mark.parametrize("words", [("list", "--json"), ("list", "no-word")])
+@pytest.mark.parametrize("words", [("list", "--json"), *thorough((("list", "no-word"),))])
 def test_what_a_game_prints_at_the_end_of_python_is_not_in_the_output(tmp_path, monkeypatch, words):
     lasts = "import atexit\natexit.register(print, 'farewell')\nGAME = 3"
     offer(tmp_path, monkeypatch, lasts=lasts)

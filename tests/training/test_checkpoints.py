@@ -27,6 +27,7 @@ from helpers.processes import begin
 from helpers.trainings import PLAIN, digest, train_to_first_checkpoint
 
 SHORT = replace(CONFIG, steps=4 * 1024)
+LONG = replace(CONFIG, num_steps=4, steps=40 * 64)  # with many checkpoints
 PACKAGE = Path(policy.__file__).parents[1]
 
 
@@ -76,14 +77,13 @@ def test_a_kill_while_an_old_checkpoint_is_removed_leaves_no_half_of_it(tmp_path
             agent.unlink()
             raise KeyboardInterrupt
 
-    longer = replace(CONFIG, steps=40 * 1024)
     with monkeypatch.context() as patch:
         patch.setattr("astray.files.remove_left", half)
         with pytest.raises(KeyboardInterrupt):
-            train(longer, tmp_path, progress=False)
-    # The first to go is the one at 6,144, which is not the first after a milestone.
-    assert checkpoint.steps_saved(tmp_path) == [2048, 4096, 8192, 10240]
-    train(longer, tmp_path, progress=False)
+            train(LONG, tmp_path, progress=False)
+    # The first to go is the one at 384, which is not the first after a milestone.
+    assert checkpoint.steps_saved(tmp_path) == [128, 256, 512, 640]
+    train(LONG, tmp_path, progress=False)
     assert not [p for p in (tmp_path / "checkpoints").iterdir() if p.name.startswith(".")]
 
 
@@ -99,7 +99,7 @@ def test_an_old_checkpoint_that_is_read_meanwhile_is_removed_with_a_later_one(
         replaces(source, to)
 
     monkeypatch.setattr(os, "replace", replace_)
-    train(replace(CONFIG, steps=40 * 1024), tmp_path, progress=False)
+    train(LONG, tmp_path, progress=False)
     saved = {path.name for path in (tmp_path / "checkpoints").iterdir()}
     assert len(refused) > 1 and {path.name for path in refused[:-1]}.isdisjoint(saved)
 
@@ -366,9 +366,13 @@ def test_nothing_is_pickled():
                 is_safe = module.partition(".")[0] not in FORBIDDEN or name in READS or is_error
                 assert is_safe, (name, module)
             if isinstance(node, ast.Call):
+                given = {k.arg: k.value for k in node.keywords}
+                last = getattr(node.func, "attr", getattr(node.func, "id", ""))
+                if last not in ("eval", "exec", "save", "load") and "allow_pickle" not in given:
+                    continue
                 called = ast.unparse(node.func)
                 assert called not in ("eval", "exec", "torch.save"), (name, called)
-                safe = {k.arg: ast.unparse(k.value) for k in node.keywords}
+                safe = {k: ast.unparse(value) for k, value in given.items()}
                 assert called != "torch.load" or safe.get("weights_only") == "True", name
                 assert safe.get("allow_pickle", "False") == "False", name
 

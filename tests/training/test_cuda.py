@@ -20,8 +20,10 @@ from helpers.checkpoints import forge
 from helpers.fake_cuda import cuda
 from helpers.trainings import OFF, PICTURES, PLAIN, digest
 
-GRAPHS = PLAIN.changed(device="cuda", cudagraphs=True, steps=1024, checkpoint_every=1)
-ENDING = replace(PLAIN, num_steps=40, timeouts="terminate")  # others are valued at once there
+GRAPHS = PLAIN.changed(device="cuda", cudagraphs=True, steps=512, checkpoint_every=1)
+# Longer than an episode.
+LONGER = {"num_steps": 24, "minibatches": 2, "epochs": 2}
+ENDING = replace(PLAIN, timeouts="terminate", **LONGER)  # others are valued at once there
 ALL = PICTURES.changed(device="cuda", **dict.fromkeys(OFF) | {"compile": False})
 
 
@@ -55,9 +57,9 @@ def test_graphs_learn_what_plain_calls_learn(config, graphs, monkeypatch):
 
 
 def test_two_groups_wait_for_their_actions_and_images(monkeypatch):
-    plain = learned(replace(PLAIN, num_steps=40))
+    plain = learned(replace(PLAIN, **LONGER))
     with cuda(monkeypatch):
-        late = learned(GRAPHS.changed(num_steps=40, groups=2))
+        late = learned(GRAPHS.changed(**LONGER, groups=2))
     for a, b in zip(plain, late, strict=True):
         torch.testing.assert_close(a, b, atol=1e-4, rtol=1e-3)
 
@@ -97,7 +99,7 @@ def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeyp
 
 
 def test_a_training_goes_on_on_another_device_and_with_other_threads(tmp_path, monkeypatch):
-    config = PLAIN.changed(device="cuda", steps=4 * PLAIN.batch, threads=2)
+    config = PLAIN.changed(device="cuda", steps=3 * PLAIN.batch, threads=2, minibatches=1)
     with cuda(monkeypatch):
         for iteration in iterate(config, tmp_path):
             if iteration.number == 2:

@@ -56,7 +56,7 @@ def test_a_cheese_on_a_dish_is_moved_with_it_and_stays_on_it():
 def test_a_cheese_is_not_placed_on_an_object_that_is_no_dish(kind):
     gem = {"other_shape": "gem", "other_colour": "red", "shift_probability": 0.5}
     variant = GAME.variant("corner-small").with_knobs(gem)
-    _, after = edited(kind, variant)
+    _, after = edited(kind, variant, count=80)
     for _ in range(3):
         after = GAME.mutation.mutate(after, variant, np.arange(len(after)), 12, kind)
         for s in after.view(np.recarray):
@@ -89,8 +89,8 @@ def test_edits_leave_a_maze_its_corner_or_none(drawn, corner):
     rows = [row.format(corner).ljust(7, "#") for row in drawn]
     lines = "\n".join([*["#######"] * (7 - len(rows)), *rows])
     level = Level.from_text(GAME, GAME.variant("anywhere-small"), lines)
-    states = np.repeat(np.array([level.state()], GAME.state), 200)
-    for s in GAME.mutation.mutate(states, level.variant, np.arange(200), 12, "binomial"):
+    states = np.repeat(np.array([level.state()], GAME.state), 80)
+    for s in GAME.mutation.mutate(states, level.variant, np.arange(80), 12, "binomial"):
         again = Level.of(GAME, level.variant, s).state()
         for name in ("corner_x", "corner_y"):
             assert again[name] == s[name] == states[0][name]

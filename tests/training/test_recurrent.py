@@ -24,7 +24,7 @@ from helpers.trainings import TINY, digest, train_to_first_checkpoint
 
 NETWORKS = ("mlp+gru", "mlp+lstm", "drc-2-2")
 TRAINED = ("mlp+gru", "mlp+lstm", "drc-1-1")
-CONFIG = replace(TINY, network="mlp+gru", minibatches=4, validation=None)
+CONFIG = replace(TINY, network="mlp+gru", num_steps=8, steps=512, validation=None)
 SHAPE, LARGEST = (3, 5, 5), (1, 1, 3)
 PLAYED = CONFIG.variant_for("anywhere-small")
 

@@ -38,7 +38,7 @@ def worth(order, times, met, is_key, hand, to_open, worths, gamma):
 @pytest.mark.parametrize("worths", [(0.0, 1.0, 0.0), (-0.3, 1.0, -0.02), (1.0, 0.0, 0.0)])
 def test_no_order_is_worth_more_than_the_best(gamma, worths):
     rng = np.random.default_rng(0)
-    for _ in range(8):
+    for _ in range(4):
         n = 6
         is_key = rng.random(n) < 0.5
         is_key[0] = True
@@ -90,7 +90,7 @@ def follow(env, goal, gamma=1.0):
 
 @pytest.mark.parametrize("name", ["many-chests", "many-keys", "many-keys-small"])
 def test_all_chests_are_opened_in_every_level(name):
-    for level in range(30):
+    for level in range(15):
         env = begin(VARIANTS[name], level)
         s = env.states[0]
         most = min(s.keys, s.chests)
@@ -105,7 +105,7 @@ def test_who_looks_no_step_ahead_gets_nothing_from_afar():
 
 def test_the_player_of_chests_leaves_keys_that_the_player_of_keys_takes():
     beyond = {goal: [] for goal in GAME.goals}
-    for goal, level in [(goal, level) for goal in GAME.goals for level in range(40)]:
+    for goal, level in [(goal, level) for goal in GAME.goals for level in range(20)]:
         env = begin(VARIANTS["many-keys"], level)
         follow(env, goal)
         beyond[goal].append(measures.keys_beyond_need(env.states)[0])
