@@ -231,7 +231,8 @@ def test_games_compile_at_once_and_one_game_once(monkeypatch):
 
     def compile_both(*names):
         with ThreadPoolExecutor() as threads:
-            found = [threads.submit(compiled._compiled.__wrapped__, find(n), "own") for n in names]
+            asked = [(find(n), "own", compiled.loop_of(find(n))) for n in names]
+            found = [threads.submit(compiled._compiled.__wrapped__, *one) for one in asked]
         return [one.exception() for one in found]
 
     assert compile_both("maze", "keys") == [None, None] and sorted(inside) == ["keys", "maze"]

@@ -484,6 +484,62 @@ def test_games_that_differ_in_a_function_are_played_by_their_own(tmp_path):
         assert done.stdout.split() == paid
 
 
+CHANGED = """
+from dataclasses import replace
+from types import SimpleNamespace
+import numba
+import numpy as np
+from astray.envs.vector import GameVectorEnv
+from astray.kernel.jit import kernel
+from open_room.game import GAME
+
+PAID = 1.0
+
+@numba.njit("float64()")
+def paid():
+    return PAID
+
+@kernel
+def extra(s):
+    return 0.0
+
+@kernel
+def step(s, action):
+    return paid() + extra(s), False
+
+rules = SimpleNamespace(**vars(GAME.rules) | {"step": step})
+mine = replace(GAME, rules=rules)
+
+def pays(game):
+    env = GameVectorEnv(game, "corner", 1)
+    env.reset(seed=0)
+    print(env.step(np.array([0]))[1][0])
+
+pays(mine)
+PAID = 2.0
+pays(mine)
+pays(replace(mine))
+
+@kernel
+def extra(s):
+    return 5.0
+
+pays(mine)
+"""
+
+
+def test_a_value_or_a_kernel_that_is_changed_after_it_was_compiled_is_compiled_again(tmp_path):
+    """Also in the files, which a next process takes."""
+    program = tmp_path / "changed.py"
+    program.write_text(CHANGED)
+    known = environment(NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    known["PYTHONPATH"] = os.pathsep.join([str(ROOM), known["PYTHONPATH"]])
+    for _ in range(2):
+        done = subprocess.run([sys.executable, program], env=known, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.split() == ["1.0", "2.0", "2.0", "7.0"]
+
+
 def test_an_interrupt_that_python_ignores_amid_llvm_ends_the_compiling():
     @ctypes.CFUNCTYPE(None)
     def called():  # by LLVM, once a module is compiled: an interrupt had to wait until then

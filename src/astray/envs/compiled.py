@@ -13,7 +13,7 @@ from astray.envs import loops
 from astray.envs.pool import alone
 from astray.game import OWN, Game, Looks
 from astray.imports import announced
-from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
+from astray.kernel.jit import kernel, one_at_a_time, renewed, shared, specialise
 from astray.validation import brief, shown
 
 SILENT = 2.0  # seconds of compiling before it is announced
@@ -25,12 +25,16 @@ NO_RESULTS = np.empty(0), FLAGS, FLAGS
 
 def compiled_loop(game: Game, art: str = OWN) -> Callable:
     """Return `loops.run` compiled for a game and an art; raise ValueError if that fails."""
-    return _compiled(game, game.drawn(art).name)
+    return _compiled(game, name := game.drawn(art).name, loop_of(game, name))
 
 
-@functools.cache
 def loop_of(game: Game, art: str = OWN) -> Callable:
     """Return `loops.run` of a game, not compiled yet, named by its code and the values it keeps."""
+    functions = _functions(game, art)
+    return _loop_of(game, art, renewed(functions.values()))
+
+
+def _functions(game: Game, art: str) -> dict[str, Callable]:
     looks = game.drawn(art)
     functions = {
         "generate": game.levels.generate,
@@ -41,6 +45,12 @@ def loop_of(game: Game, art: str = OWN) -> Callable:
     if game.symbols:
         for name in ("background_planes", "foreground_planes"):
             functions[name] = getattr(game.symbols, name)
+    return functions
+
+
+@functools.cache
+def _loop_of(game: Game, art: str, _values: str) -> Callable:
+    functions = _functions(game, art)
     label = game.name if art == OWN else f"{game.name}_{art}"
     functions["background_of"] = specialise(loops.background_of_any, label, shared, **functions)
     functions["begin_one"] = specialise(loops.begin, label, shared, **functions)
@@ -49,8 +59,8 @@ def loop_of(game: Game, art: str = OWN) -> Callable:
 
 
 @functools.cache
-def _compiled(game: Game, art: str) -> Callable:
-    looks, run = game.drawn(art), loop_of(game, art)
+def _compiled(game: Game, art: str, run: Callable) -> Callable:
+    looks = game.drawn(art)
     try:
         with one_at_a_time(run.__name__), announced(SILENT, COMPILING.format(game.name)):
             _compile(game, looks, run)

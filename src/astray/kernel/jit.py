@@ -10,15 +10,17 @@ import re
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numba
 import numpy as np
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.dispatcher import Dispatcher
 from numba.core.typing.templates import builtin_registry
 
 from astray import provenance
@@ -54,7 +56,7 @@ def code_digest(function: Any) -> str | None:
         16 hexadecimal digits, or None if the dependencies are unknown: the function has no file,
         as in a notebook.
     """
-    bound, called = getattr(function, "bound", {}).values(), set()
+    bound, called = getattr(function, "bound", {}).values(), {}
     told = [how for one in (function, *bound) for how in _how(one)]
     for name, part in _parts("", function):
         is_function = isinstance(part, FunctionType)
@@ -70,15 +72,53 @@ def _parts(name: str, part: Any) -> Iterator[tuple[str, Any]]:
         yield from _parts(inner, bound)
 
 
-def _frozen(name: Any, function: FunctionType, passed: set[FunctionType]) -> Iterator[tuple]:
+def renewed(functions: Iterable[Any]) -> str:
+    """Let users' kernels be compiled again if they, or kernels they call, keep other values by now.
+
+    Numba would take the code that it has, as if it had been made of the new values.
+
+    Returns:
+        A digest of these values.
+    """
+    called: dict[FunctionType, Any] = {}
+    for one in functions:
+        for name, part in _parts("", one):
+            if isinstance(part, FunctionType) and _is_of_user(part):
+                list(_frozen(name, part, called, one))
+    kept: dict[Any, str] = {
+        compiled: repr(sorted(_frozen("", function, {}), key=repr))
+        for function, compiled in reversed(called.items())
+        if isinstance(compiled, Dispatcher) and _is_of_user(function)
+    }
+    changed = [one for one, values in kept.items() if _values.setdefault(one, values) != values]
+    for one in filter(lambda one: one._can_compile, changed):
+        one._reset_overloads()
+    for one in filter(lambda one: not one._can_compile, changed):  # those of declared types
+        one.recompile()
+    _values.update(kept)
+    return hashlib.sha256(repr([*kept.values()]).encode()).hexdigest()
+
+
+_values: WeakKeyDictionary[Any, str] = WeakKeyDictionary()  # that users' kernels were compiled with
+
+
+def _is_of_user(function: FunctionType) -> bool:
+    """Return whether a function is not astray's, or calls what was bound to its names."""
+    return hasattr(function, "bound") or not f"{function.__module__}".startswith("astray.")
+
+
+def _frozen(
+    name: Any, function: FunctionType, passed: dict[FunctionType, Any], by: Any = None
+) -> Iterator[tuple]:
     """Find the globals whose values compiled code keeps, also in the kernels that it calls.
 
-    No source shows these where a module read them from a file or the environment.
+    No source shows these where a module read them from a file or the environment. `passed` are
+    the functions that were found, each with its compiled one, which may be what it is called `by`.
     """
     yield name, *_written(function)
     if function in passed:
         return
-    passed.add(function)
+    passed[function] = getattr(function, "compiled", by)
     codes = [function.__code__]
     for code in codes:
         codes.extend(one for one in code.co_consts if isinstance(one, CodeType))
@@ -99,10 +139,10 @@ def _frozen(name: Any, function: FunctionType, passed: set[FunctionType]) -> Ite
                 for called in each:
                     if how := _how(called):
                         yield name, at, *how
-                    called = inspect.unwrap(getattr(called, "py_func", called))
+                    by, called = called, inspect.unwrap(getattr(called, "py_func", called))
                     package = f"{getattr(called, '__module__', '')}".partition(".")[0]
                     if isinstance(called, FunctionType) and package not in provenance.LIBRARIES:
-                        yield from _frozen((name, at), called, passed)
+                        yield from _frozen((name, at), called, passed, by)
                 if isinstance(one, ModuleType | type) and all(one is not s for s in within):
                     within.append(one)
                     scopes.append(vars(one))
