@@ -35,7 +35,6 @@ LOG = logging.getLogger("astray")
 SLOW = 15  # seconds of CPU time for compiling a game; astray's own take 8 to 17
 SHORT, LONG = 30, 70  # steps of a shortened episode, and of a test with several of them
 INTERPRETED = 10  # steps that are interpreted: a drawing of single pixels takes 50 ms
-DRAWINGS = 2  # of a game that has symbols: an interpreted one takes up to 0.6 s
 LEVELS = range(5)  # checked levels of each variant
 DRAWN = "all random numbers come from `s`, and every pixel is written"  # what else can differ
 
@@ -91,14 +90,13 @@ def check_indices(game: Game, variant: Variant) -> None:
     begins: dict[str, Any] = {"level": (levels := np.array(LEVELS))}
     actions = levels * len(game.actions) // len(levels)
     for options in reversed(observations(game)):
-        size = len(levels) if "level" in begins else DRAWINGS
-        env = GameVectorEnv(game, variant, size, **options)
+        env = GameVectorEnv(game, variant, len(levels), **options)
         env._loop = getattr(env._loop, "py_func", env._loop)
         try:
             with np.errstate(all="ignore"):
                 env.reset(seed=0, options=begins)
                 for _ in range(INTERPRETED if "level" in begins else 1):
-                    env.step(actions[-size:])
+                    env.step(actions)
         except IndexError as error:
             *_, last = traceback.extract_tb(error.__traceback__)
             place = f"File {last.filename!r}, line {last.lineno}: {last.line}"
@@ -106,7 +104,7 @@ def check_indices(game: Game, variant: Variant) -> None:
         except Exception as error:
             LOG.warning("no index of %s is checked: interpreted, %s", game.name, shown(error, 300))
             return
-        begins = {"state": env.get_state()[-DRAWINGS:]}  # images of where symbols led
+        begins = {"state": env.get_state()}  # images of where symbols led
 
 
 def check_batches(game: Game, variant: Variant) -> None:
