@@ -123,11 +123,13 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
     It runs in its own thread: a server can send `100 Continue` for ever, and http.client listens.
     """
     opened: list[http.client.HTTPConnection] = []
+    given_up = threading.Event()
 
     def keep(kind: type[http.client.HTTPConnection]) -> Callable[..., http.client.HTTPConnection]:
         def connect(*given: Any, **more: Any) -> http.client.HTTPConnection:
-            opened.append(kind(*given, **more))
-            return opened[-1]
+            opened.append(one := kind(*given, **more))
+            one.auto_open = not given_up.is_set()
+            return one
 
         return connect
 
@@ -153,7 +155,9 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
         return urllib.request.build_opener(Plain, Secure, Onward).open(request, timeout=WAIT)
 
     def stop() -> None:
+        given_up.set()
         for connection in opened:  # else the thread would listen on
+            connection.auto_open = False  # one that is not connected yet
             if connection.sock:
                 with contextlib.suppress(OSError):
                     connection.sock.shutdown(socket.SHUT_RDWR)
