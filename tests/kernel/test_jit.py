@@ -36,7 +36,7 @@ def made(reward):
 
 
 def ran(program, *words, **changes):
-    """What the file of a program prints, word by word, run by a process of its own."""
+    """Return the words that a program prints, run from its file in a process of its own."""
     run = f"import runpy; runpy.run_path({os.fspath(program)!r})"
     code, out, err = begin(run, program.parent, *words, env=environment(**changes)).ended()
     assert code == 0, err
