@@ -12,7 +12,7 @@ from astray.record import LEVELS
 VIEW = 256  # pixels a side of the agent's view, enlarged
 GAP, TEXT = 16, 18  # pixels
 STEPS_PER_SECOND = 15
-KNOWN = {"left", "right", "down", "up", "stay"}  # have keys of their own
+KNOWN = {"left", "right", "down", "up", "stay"}  # words of actions that arrows and space stand for
 HELP = (
     "arrows or WASD: move",
     "space: wait",
@@ -88,7 +88,8 @@ def _action(env: GameVectorEnv, pressed, pygame) -> int | None:
 
 
 def _further(game: Game) -> list[str]:
-    """Return the actions, such as to pick up, that keys from 1 on stand for."""
+    """Return the actions, such as "pick", that keys from 1 on stand for."""
+    # Procgen's buttons, of a letter each, do nothing.
     return [name for name in game.actions if len(name) > 1 and not KNOWN & {*name.split("-")}]
 
 

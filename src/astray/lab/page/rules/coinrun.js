@@ -1,6 +1,7 @@
 // CoinRun: its levels, without Python.
 
-import { cellsOf, drawn, observed, rulesOf } from "./common.js";
+import { cellsOf } from "../level.js";
+import { drawn, observed, rulesOf } from "./common.js";
 import { coinrun } from "./constants.js";
 import { game } from "./coinrun-kernels.js";
 

@@ -8,7 +8,6 @@ import { distances } from "./kernels.js";
 import { fieldOf } from "./memory.js";
 
 export const { NEVER, WALL } = common;
-export { cellsOf };
 const EMPTY = "."; // in every game's drawings
 
 // Throws where no episode can begin in a level, in the words of Python's `Level`.

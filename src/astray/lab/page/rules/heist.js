@@ -1,6 +1,7 @@
 // Heist: its levels, without Python.
 
-import { NEVER, cellsOf, observedMaze, rulesOf } from "./common.js";
+import { cellsOf } from "../level.js";
+import { NEVER, observedMaze, rulesOf } from "./common.js";
 import { heist } from "./constants.js";
 import { game } from "./heist-kernels.js";
 import { distances } from "./kernels.js";

@@ -2,7 +2,8 @@
 //
 // A test compares thousands of random steps with Python's, state by state.
 
-import { NEVER, WALL, cellsOf, lay, observedMaze, rulesOf, world } from "./common.js";
+import { cellsOf } from "../level.js";
+import { NEVER, WALL, lay, observedMaze, rulesOf, world } from "./common.js";
 import { maze } from "./constants.js";
 import { game } from "./maze-kernels.js";
 
