@@ -5,6 +5,8 @@ import errno
 import hashlib
 import io
 import itertools
+import queue
+import socket
 import subprocess
 import sys
 import threading
@@ -233,22 +235,27 @@ def test_a_server_that_never_comes_to_its_answer_is_not_waited_for(tmp_path, mon
     assert not left(tmp_path)
 
 
-def test_a_request_that_was_given_up_before_it_was_made_is_not_made(serve, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "place", [(urllib.request, "build_opener"), (socket, "create_connection")]
+)
+def test_a_request_that_was_given_up_before_it_was_made_is_not_made(
+    serve, tmp_path, monkeypatch, place
+):
     monkeypatch.setattr(downloads, "WAIT", 0.1)
-    made, given_up, asking = urllib.request.build_opener, threading.Event(), []
+    made, given_up, asking = getattr(*place), threading.Event(), queue.SimpleQueue()
 
-    def late(*handlers):
-        asking.append(threading.current_thread())
+    def late(*given):
+        asking.put(threading.current_thread())
         given_up.wait(10)
-        return made(*handlers)
+        return made(*given)
 
-    monkeypatch.setattr(urllib.request, "build_opener", late)
+    monkeypatch.setattr(*place, late)
     server = serve(DATA)
     with pytest.raises(OSError, match=r"no answer came in 0\.1 seconds"):
         download(server.address, tmp_path / "a", size=len(DATA), digest=digest(DATA))
     given_up.set()
-    asking[0].join(10)
-    assert not asking[0].is_alive() and server.asked == []
+    (thread := asking.get(timeout=10)).join(10)
+    assert not thread.is_alive() and server.asked == []
 
 
 def test_a_file_without_a_digest_is_not_shorter_than_it_is_to_be(serve, tmp_path):

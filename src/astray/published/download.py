@@ -126,12 +126,14 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
     given_up = threading.Event()
 
     def keep(kind: type[http.client.HTTPConnection]) -> Callable[..., http.client.HTTPConnection]:
-        def connect(*given: Any, **more: Any) -> http.client.HTTPConnection:
-            opened.append(one := kind(*given, **more))
-            one.auto_open = not given_up.is_set()
-            return one
+        class Kept(kind):  # pyrefly: ignore
+            def connect(self) -> None:
+                opened.append(self)
+                super().connect()
+                if given_up.is_set():  # while it connected, so that `stop` had nothing to shut down
+                    raise OSError("this answer is no longer waited for")
 
-        return connect
+        return Kept
 
     class Plain(urllib.request.HTTPHandler):
         def http_open(self, req: urllib.request.Request) -> http.client.HTTPResponse:
@@ -157,7 +159,6 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
     def stop() -> None:
         given_up.set()
         for connection in opened:  # else the thread would listen on
-            connection.auto_open = False  # one that is not connected yet
             if connection.sock:
                 with contextlib.suppress(OSError):
                     connection.sock.shutdown(socket.SHUT_RDWR)
