@@ -235,9 +235,7 @@ def test_a_server_that_never_comes_to_its_answer_is_not_waited_for(tmp_path, mon
     assert not left(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "place", [(urllib.request, "build_opener"), (socket, "create_connection")]
-)
+@pytest.mark.parametrize("place", [(urllib.request, "build_opener"), (socket, "create_connection")])
 def test_a_request_that_was_given_up_before_it_was_made_is_not_made(
     serve, tmp_path, monkeypatch, place
 ):
