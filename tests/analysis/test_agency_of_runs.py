@@ -99,6 +99,12 @@ def test_levels_without_one_of_the_goals_are_left_out():
     assert [one.level for one in play(Walk("line"), "maze", mixed, range(40), shift)] == there
 
 
+def test_levels_that_all_lack_a_goal_are_refused_before_they_are_played(monkeypatch):
+    monkeypatch.setattr(agency, "steps", lambda *_, **__: pytest.fail("it plays"))
+    with pytest.raises(ValueError, match="in no level can one cell of each goal be reached"):
+        assess_policy(Random(), "monsters", "calm", "calm", range(3))
+
+
 def test_games_without_cells_are_refused():
     coinrun = games.find("coinrun")
     shift = next(iter(coinrun.shifts.values()))

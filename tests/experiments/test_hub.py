@@ -88,6 +88,7 @@ def test_a_run_is_pushed_with_a_card_that_tells_what_it_pursues(server, tmp_path
     front, text = card.removeprefix("---\n").split("---\n", 1)
     assert "library_name: astray" in front and "- maze" in front
     assert text.index("# mouse") < text.index("episode.gif") < text.index("| `anywhere-small` |")
+    assert text.count("episode.gif") == 1
     assert "curve.png" in text and "astray pull ada/mouse" in text
     promised = json.loads(files(server)["digests.json"])["files"]
     assert promised.keys() == files(server).keys() - {"digests.json"}

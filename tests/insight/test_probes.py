@@ -112,6 +112,14 @@ def test_the_interval_of_a_score_is_over_levels():
     assert values.mean() == pytest.approx(r2_score(numbers, guess))
 
 
+def test_no_interval_of_a_score_exceeds_1():
+    random = np.random.default_rng(0)
+    levels, y = np.repeat(np.arange(8), 20), random.normal(size=160)
+    x = y[:, None] + random.normal(0, 0.1, (160, 1)) * (levels == 3)[:, None]
+    told = probes._told(x, [None, None], y, levels, levels % 2)
+    assert told["score low"] < told["score"] < told["score high"] == 1 < told["selectivity high"]
+
+
 def test_every_level_is_told_by_a_probe_that_did_not_see_it():
     fold = probes._folds(levels := np.repeat(np.arange(23), 3), 5)
     assert [len(set(levels[fold == k])) for k in range(5)] in ([5, 5, 5, 4, 4],)

@@ -201,11 +201,10 @@ def _with_card(
         )
     config = folders.read_config(folder)
     card = (folder / CARD).read_text(encoding="utf-8")
-    title, _, text = card.partition("\n")
-    front = _FRONT.format(game=config.game, repository=repository, name=name)
-    write_aside(
-        folder / CARD, f"{front}\n{title}\n{_PULLED.format(repository=repository)}{text}".encode()
-    )
+    title, _, text = card.replace(f"{_VIDEO}\n", "").partition("\n")
+    front = _FRONT.format(game=config.game)
+    pulled = _PULLED.format(repository=repository)
+    write_aside(folder / CARD, f"{front}\n{title}\n\n{_VIDEO}{pulled}{text}".encode())
     return folder
 
 
@@ -232,9 +231,8 @@ tags:
 - {game}
 ---
 """
+_VIDEO = "![One level, as in training and in the test](episode.gif)\n"  # as in the card
 _PULLED = """
-![One level, as in training and in the test](episode.gif)
-
 In a clone of astray:
 
 ```bash

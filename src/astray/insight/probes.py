@@ -194,7 +194,7 @@ def _told(
     for name in (*SCORES, "selectivity", "gain"):
         values, rate = parts.get(name, (None, False))
         one = Estimate.nothing() if values is None else estimate_mean(values, rate=rate)
-        ends = (one.mean, one.low, one.high)
+        ends = (one.mean, one.low, min(one.high, 1.0) if name in SCORES else one.high)
         row |= {
             f"{name}{end}": None if np.isnan(value) else value
             for end, value in zip(("", " low", " high"), ends, strict=True)
