@@ -78,6 +78,8 @@ def test_an_audit_of_streams_says_so_and_has_no_ghost_and_no_videos(tmp_path):
     answer = json.loads((page.parent / "findings.json").read_text("utf-8"))["answer"]
     assert "streams is played as streams: its levels do not repeat" in answer
     assert not (page.parent / "videos").exists()
+    text = page.read_text("utf-8")
+    assert "episodes evaluated" in text and "found with a power" not in text
 
 
 def test_an_audit_of_streams_without_proxies_compares_rates_of_other_levels(tmp_path):

@@ -318,14 +318,14 @@ def settings(plan: Plan) -> dict[str, str]:
         values = {name: str(config[key]) for name, config in every.items()}
         several = ", ".join(f"{name}: {value}" for name, value in values.items())
         told[key] = several if len(set(values.values())) > 1 else values.popitem()[1]
-    near, far = (f"rates {100 * one:.0f}\u00a0% from their bound" if one < 1 else "no rates"
-                 for one in plan.power()[: len(SPREADS)])  # fmt: skip
     if plan.own:
         told = {"world": plan.game.name, "agents": ", ".join(plan.own)}
-    if of_streams(plan):
-        told["levels"] = STREAMS
+    told["seeds"] = str(plan.seeds)
+    if of_streams(plan):  # how many levels their episodes meet shows as they are played
+        return told | {"levels": STREAMS, "episodes evaluated": str(plan.levels)}
+    near, far = (f"rates {100 * one:.0f}\u00a0% from their bound" if one < 1 else "no rates"
+                 for one in plan.power()[: len(SPREADS)])  # fmt: skip
     return told | {
-        "seeds": str(plan.seeds),
         "levels evaluated": str(plan.levels),
         "found with a power of 80\u00a0%": near + f", or {far} where agents differ most, by a "
         f"standard deviation of {100 * max(SPREADS):g}\u00a0%" * (far != near),
