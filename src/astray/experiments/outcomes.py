@@ -52,10 +52,11 @@ def rate(
     """Return the rate of `outcome` in the agents' episodes, minus the rate of `minus` if given.
 
     Args:
+        outcome: One of `outcomes_of` the game. A name that no episode has counts as never reached.
         minus_test: Another test, whose rate in the same levels is subtracted.
 
     Raises:
-        ValueError: If a test or outcome does not exist, or agents are of several names.
+        ValueError: If a test has no episodes, or agents are of several names.
     """
     part, came = _of_one(episodes, test), pl.col("outcome") == outcome
     other = pl.col("outcome") == (minus or outcome)
