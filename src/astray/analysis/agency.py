@@ -30,7 +30,6 @@ from astray.world import Layout, World, WorldVariant
 DEVICE = "device"
 PLACE = ("agent_x", "agent_y")  # measures of a world's episodes: the cell of the agent
 UNDECIDED = "undecided"
-NOTHING = "there are no episodes to assess: in no level can one cell of each goal be reached"
 LEAST, MOST = np.array([244, 243, 236]), np.array([196, 60, 20])  # colours of the posterior
 STONE, MOUSE = np.array([204, 184, 142]), np.array([34, 34, 34])  # walls are sand, as in the game
 
@@ -65,8 +64,7 @@ def play(
     """Play `policy` in those of `levels` that contain all the goals, and ways to them.
 
     Raises:
-        ValueError: If there are no `cells`, episodes may last for ever and `longest` is None, or
-            no level has all the goals.
+        ValueError: If there are no `cells`, or episodes may last for ever and `longest` is None.
     """
     check_ending(game, variant, longest)  # before a game compiles
     found, cells_of = _followed(game)
@@ -82,7 +80,7 @@ def play(
             for s, cell in zip(states, _cells(found, states), strict=True)
         ]
     if all(None in _named(found, shift, layout.goals.get).values() for layout in begun):
-        raise ValueError(NOTHING)
+        return []
     ways = [[layout.agent] for layout in begun]
     for step in steps(policy, found, variant, levels, batch=batch, longest=longest):
         for level, cell in zip(step.level, cells_of(step.after), strict=True):
@@ -270,7 +268,9 @@ def assess(played: Sequence[Played], options: Options = CALIBRATED) -> Assessmen
         ValueError: If there are no episodes.
     """
     if not played:
-        raise ValueError(NOTHING)
+        raise ValueError(
+            "there are no episodes to assess: in no level can one cell of each goal be reached"
+        )
     if any(set(one.goals) != set(played[0].goals) for one in played):
         raise ValueError("some episodes are of levels with other goals than the first")
     rows, explanations = [], ()
