@@ -137,7 +137,7 @@ def test_an_episode_by_keys_goes_as_replay_has_it(page):
     names = ["up", "up", "right", "down", "stay", "up", "up", "right", "right"]
     for k, name in enumerate(names, 1):
         page.keyboard.press("Space" if name == "stay" else f"Arrow{name.capitalize()}")
-        wait(page, f"lab.episode.actions.length === {k} && lab.editor.acting === false")
+        wait(page, f"lab.episode.actions.length === {k} && !lab.editor.acting")
     states = page.evaluate("lab.episode.states.slice(1)")
     game = games.find("maze")
     variant = game.variant("anywhere-small")
@@ -229,12 +229,15 @@ def test_keys_play_before_and_after_anything_was_clicked_and_fields_keep_theirs(
     page.keyboard.press("Space")  # presses the button
     page.keyboard.press("ArrowDown")
     wait(page, "lab.episode.actions.length === 2")
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("ArrowDown")  # while the agent is asked what it would do
+    wait(page, "lab.episode.actions.length === 4")
     page.keyboard.press(",")
-    wait(page, "lab.now === 1")
+    wait(page, "lab.now === 3")
     page.locator("[data-lab=text]").evaluate("(field) => field.closest('details').open = true")
     page.locator("[data-lab=text]").focus()
     page.keyboard.press("ArrowUp")
-    assert page.evaluate("lab.episode.actions.length") == 2
+    assert page.evaluate("lab.episode.actions.length") == 4
 
 
 def test_a_maze_has_the_tools_of_its_objects_and_a_tool_keeps_the_focus(page):

@@ -148,7 +148,7 @@ export class Editor {
     if (further) this.#do(event, () => lab.act(further));
     else if (key in others) this.#do(event, others[key]);
     else if (this.cursor) this.#steer(event, key);
-    else if (key in KEYS || key === " ") this.#do(event, () => this.#play(key));
+    else if (key in KEYS || key === " ") this.#do(event, () => this.#play(key, event.repeat));
   }
 
   #do(event, work) {
@@ -180,7 +180,7 @@ export class Editor {
   }
 
   // The action that all pressed keys mean together.
-  async #play(key) {
+  async #play(key, repeats) {
     this.pressed.add(key);
     let [x, y] = [0, 0];
     for (const one of this.pressed) {
@@ -189,9 +189,9 @@ export class Editor {
     }
     const words = [["left", "", "right"][Math.sign(x) + 1], ["down", "", "up"][Math.sign(y) + 1]];
     const name = words.filter(Boolean).join("-") || "stay";
-    if (this.acting) return; // keys that repeat faster than the world moves are let go
-    this.acting = true;
-    await this.lab.act(name);
-    this.acting = false;
+    if (this.acting && repeats) return; // held down, it repeats faster than the world moves
+    const mine = this.acting = Promise.resolve(this.acting).then(() => this.lab.act(name));
+    await mine;
+    if (this.acting === mine) this.acting = null;
   }
 }
