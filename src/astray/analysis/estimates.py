@@ -107,7 +107,7 @@ def estimate_mean(
     one_trial = rate and levels == 1  # of each agent: the mean determines the variance
     widest = of_levels if agents == 1 or one_trial else quantile(freedom)
     square = max(widest**2 * between + of_levels**2 * among, float(rest.var()) / rest.size)
-    low, high = _ends(mean, square, rate, widest**2 / int(np.count_nonzero(weights)))
+    low, high = ends(mean, square, rate, widest**2 / int(np.count_nonzero(weights)))
     known = _satterthwaite([(between, freedom), (among, levels - 1)])
     return Estimate(mean, low, high, agents, levels, values.size, known)
 
@@ -159,7 +159,7 @@ def estimate_difference(
         for (between, _), levels, rest, t in zip(spreads, among, rests, of_levels, strict=True)
     ]
     (low, high), (its_low, its_high) = (
-        _ends(mean, square, rate, (t if len(rest) == 1 else wide) ** 2 / rest.size)
+        ends(mean, square, rate, (t if len(rest) == 1 else wide) ** 2 / rest.size)
         for mean, square, rest, t in zip(means, squares, rests, of_levels, strict=True)
     )
     mean = means[0] - means[1]
@@ -323,7 +323,7 @@ def _between_agents(
     return variance / agents, freedom
 
 
-def _ends(mean: float, square: float, rate: bool, least: float) -> tuple[float, float]:
+def ends(mean: float, square: float, rate: bool, least: float) -> tuple[float, float]:
     """Return the ends of an interval whose symmetrical half-width would be sqrt(`square`).
 
     Args:

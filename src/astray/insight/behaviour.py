@@ -11,7 +11,7 @@ inflation factor, and the frequency of its sign among subsets of the features.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from scipy.stats import rankdata
 
 from astray import games, imports
 from astray.acting import Levels
-from astray.analysis.estimates import estimate_mean
+from astray.analysis.estimates import ends, estimate_mean, quantile
 from astray.envs.beginnings import in_chunks
 from astray.estimate import Estimate
 from astray.game import Game, Variant
@@ -78,7 +78,7 @@ class Prediction:
     def better_than(self, other: Prediction) -> Estimate:
         """Return this area under the curve minus another's in the same levels, with its interval.
 
-        The interval is over levels, resampled jointly.
+        The interval is over levels.
 
         Raises:
             ValueError: If the levels differ.
@@ -86,11 +86,9 @@ class Prediction:
         if not np.array_equal(self.outcomes, other.outcomes):
             raise ValueError("predictions must be of the same levels")
 
-        def difference(y: np.ndarray, chances: np.ndarray) -> float:
-            return area_under(y, chances[:, 0]) - area_under(y, chances[:, 1])
-
-        both = np.column_stack([self.chances, other.chances])
-        return _area(self.outcomes, both, difference, np.random.default_rng(0))
+        both = (placements(one.outcomes, one.chances) for one in (self, other))
+        found = _area([mine - its for mine, its in zip(*both, strict=True)], rate=False)
+        return replace(found, low=max(-1.0, found.low), high=min(1.0, found.high))
 
 
 def predict(
@@ -159,7 +157,7 @@ def predict(
         levels=len(y),
         accuracy=estimate_mean((chances > 0.5) == y),
         always=float(max(y.mean(), 1 - y.mean())),
-        auc=_area(y, chances, area_under, random),
+        auc=_area(placements(y, chances)),
         features=pl.DataFrame(
             {
                 "feature": list(features),
@@ -180,12 +178,23 @@ def predict(
 def area_under(y: np.ndarray, scores: np.ndarray) -> float:
     """Return the area under the ROC curve of scores [N] of outcomes [N], in which ties are a half.
 
-    scikit-learn's `roc_auc_score` takes 20 times as long, and intervals need hundreds.
+    scikit-learn's `roc_auc_score` takes 20 times as long.
     """
-    some = y.astype(bool)
-    count = np.count_nonzero(some)
-    above = rankdata(scores)[some].sum() - count * (count + 1) / 2
-    return float(above / (count * (len(y) - count)))
+    return float(placements(y, scores)[0].mean())
+
+
+def placements(y: np.ndarray, scores: np.ndarray) -> list[np.ndarray]:
+    """Return for levels of each outcome the fraction of the other levels on the right side of it.
+
+    The first array is for the levels whose outcome in y [N] is true, and counts others of lower
+    scores [N]; the second is for these, and counts the first of higher scores. The mean of each
+    is the area under the curve.
+    """
+    some, found = y.astype(bool), []
+    for mine, its in ((some, scores), (~some, -scores)):
+        below = rankdata(its)[mine] - rankdata(its[mine])
+        found.append(below / np.count_nonzero(~mine))
+    return found
 
 
 def _is_real(column: pl.Series) -> bool:
@@ -221,12 +230,20 @@ def _resample(y: np.ndarray, random: np.random.Generator) -> np.ndarray:
             return some
 
 
-def _area(y: np.ndarray, chances: np.ndarray, auc: Any, random: np.random.Generator) -> Estimate:
-    """Return the area under the curve of chances [N, ...], with its interval over levels."""
-    drawn = [_resample(y, random) for _ in range(RESAMPLES)]
-    again = [auc(y[some], chances[some]) for some in drawn]
-    low, high = np.quantile(again, [0.025, 0.975])
-    return Estimate(float(auc(y, chances)), float(low), float(high), 1, len(y), len(y))
+def _area(parts: Sequence[np.ndarray], *, rate: bool = True) -> Estimate:
+    """Return the area under the curve, or a difference of two, with its interval over levels.
+
+    The variance is that of DeLong et al. (1988), Biometrics 44. Resampled levels would all have the
+    area 1 where these do, and an interval without width.
+
+    Args:
+        parts: Results of `placements`, or differences of them.
+    """
+    few, levels, mean = min(map(len, parts)), sum(map(len, parts)), float(parts[0].mean())
+    wide = quantile(few - 1) ** 2
+    square = wide * sum(float(part.var(ddof=1)) / len(part) for part in parts)
+    low, high = ends(mean, square, rate, wide / few)
+    return Estimate(mean, low, high, 1, levels, levels, few - 1)
 
 
 def _signs(
