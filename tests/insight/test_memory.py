@@ -12,6 +12,7 @@ from astray.analysis.critic import observe, policy_and_value, visit
 from astray.analysis.trained import Opaque
 from astray.insight import cell_probes
 from astray.insight.activations import activations, capture, layers
+from astray.insight.explain import default_layers
 from astray.insight.fields import fields, states_at
 from astray.insight.interventions import ablate, changed, interchange, steer, thinking
 from astray.insight.probes import probe
@@ -103,6 +104,12 @@ def test_values_along_episodes_are_of_what_the_agent_remembers(agent):
     assert not np.allclose(rows["value"], policy_and_value(agent, observe(agent, SMALL, states))[1])
     both = some.join(rows, on=["level", "step"], validate="1:1")
     assert len(both) == len(some) and both["value"].equals(both["value_right"].alias("value"))
+
+
+def test_a_page_reads_layers_up_to_the_heads(agent):
+    assert default_layers(agent, 3)[-1] == {"drc-1-2": "features"}.get(
+        agent.architecture.name, "recalled"
+    )
 
 
 @pytest.mark.parametrize("layer", ["body.policy", "body.value"])

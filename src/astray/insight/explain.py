@@ -355,7 +355,8 @@ def default_layers(agent: Model | Opaque, count: int = 3) -> tuple[str, ...]:
     """Return some layers, evenly spread over the network up to the heads; none without one."""
     if isinstance(agent, Opaque):
         return ()
-    names = [name for name in layers(agent) if name not in ("policy", "value")]
+    heads = ("policy", "value")  # with a recurrent cell, of its body
+    names = [name for name in layers(agent) if name.removeprefix("body.") not in heads]
     which = np.unique(np.linspace(0, len(names) - 1, count + 1).round().astype(int))[1:]
     bounded("count", count, 1, len(names))
     return tuple(names[k] for k in which)
