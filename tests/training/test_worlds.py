@@ -20,12 +20,13 @@ from astray.experiments import outcomes, spec
 from astray.experiments.keep import keep
 from astray.experiments.run import reproduce
 from astray.experiments.spec import Experiment, Plan
+from astray.insight.activations import capture
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.folders import AGENT, latest
 from astray.training.loop import iterate, train
 from astray.world import find
-from helpers.rooms import WORLD, Room
+from helpers.rooms import CELLS, WORLD, Room
 
 LEVELS = range(100, 200)
 SMALL = Config(
@@ -295,13 +296,49 @@ def test_an_agent_of_a_world_is_not_kept_which_is_told_before_it_is_evaluated(ru
     assert not [*tmp_path.iterdir()]
 
 
-def test_an_agent_of_a_world_is_visited_as_a_network(run):
-    with pytest.raises(ValueError, match=r"agent of the World room is visited as astray\.Network"):
-        visit(agent := load_agent(run), "anywhere", range(3))
+def test_an_agent_of_a_world_is_visited_as_a_network_of_it_is(run):
     flat = Network(
-        agent.network, Room().observation_space, WORLD, lambda net, seen: net(seen.flatten(1))
+        (agent := load_agent(run)).network, Room().observation_space, WORLD,
+        lambda net, seen: net(seen.flatten(1)), seed=agent.seed,
+    )  # fmt: skip
+    (rows, states), (of_network, _) = (visit(one, "anywhere", range(9)) for one in (agent, flat))
+    assert rows["value"].is_finite().all() and rows.equals(of_network)
+    found = capture(agent, "anywhere", states, ["features.relu1"]).values["features.relu1"]
+    others = visit(flat, "anywhere", range(9))[1]
+    assert np.array_equal(
+        found, capture(flat, "anywhere", others, ["features.relu1"]).values["features.relu1"]
     )
-    assert visit(flat, "anywhere", range(3))[0]["value"].is_finite().all()
+
+
+class Counted(Room):
+    """A Room that shows integers: where the square is, in the first step alone, and the agent."""
+
+    observation_space = property(lambda env: spaces.Box(0, CELLS, (2,), np.int64), lambda *_: None)
+
+    def _seen(self):
+        return np.array([self.square * (self.time == 0), self.x])
+
+
+def test_a_visit_shows_an_agent_with_memory_scaled_integers_along_its_episodes(tmp_path):
+    """Any function that showed them to its network would forget, and most would not scale."""
+    counted = replace(WORLD, name="counted", variants={"end": Counted, "anywhere": Counted})
+    train(replace(SMALL, game=counted, network="mlp+gru", steps=256), tmp_path, progress=False)
+    agent = load_agent(tmp_path)
+    rows, states = visit(agent, "anywhere", range(4), batch=3)
+    along = capture(agent, "anywhere", states, ["recalled"], episodes=True).values["recalled"]
+    k = 0
+    for _ in range(4):
+        env, state, begins, ended = Counted(), torch.zeros(1, agent.network.memory), True, False
+        seen, _ = env.reset(seed=0)
+        while not ended:
+            shown = torch.from_numpy(seen[None] / np.float32(CELLS)).float()
+            with torch.no_grad():
+                _, value, state = agent.network.recall(shown, state, torch.tensor([begins]))
+            assert rows["value"][k] == pytest.approx(value.item(), abs=1e-5)
+            assert np.allclose(along[k], state[0], atol=1e-5)
+            seen, _, terminated, truncated, _ = env.step(rows["action"][k])
+            k, begins, ended = k + 1, False, terminated or truncated
+    assert k == len(rows)
 
 
 def test_a_file_of_settings_imports_no_world():

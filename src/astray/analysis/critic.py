@@ -14,6 +14,7 @@ import heapq
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -23,6 +24,7 @@ from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.policies import episode_noise
 from astray.analysis.trained import Agent, Model, Opaque, check_network
 from astray.envs.beginnings import without_autoreset
+from astray.envs.restarting import as_seen
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
 from astray.record import count_levels
@@ -62,11 +64,6 @@ def visit(
         ValueError: If an argument is invalid.
     """
     check_network(agent)
-    if isinstance(agent, Agent) and isinstance(find(agent.game), World):
-        told = (
-            "astray.Network(agent.network, space, game=WORLD), with the space of its environments"
-        )
-        raise ValueError(f"an agent of the World {agent.game} is visited as {told}")
     count = count_levels(levels)
     if per_episode is not None:
         bounded("per_episode", per_episode, 1, MOST)
@@ -78,11 +75,15 @@ def visit(
     rewards: list[list[float]] = [[] for _ in levels]
     shown: dict[int, list[np.ndarray]] = {}  # to an agent with memory; its values are `along` them
     along: dict[int, np.ndarray] = {}
-    world = agent.game.in_every_step if isinstance(agent.game, World) else None
-    game = world or agent.game
+    found: Any = find(agent.game)
+    world = found.in_every_step if isinstance(found, World) else None
+    game = world or found
+    trained = agent.trained if world and isinstance(agent, Agent) else None
     for step in steps(agent, game, variant, levels, batch=batch, longest=longest):
-        before = world.shown(step.before, step.observations) if world else step.before
-        seen = before[SEEN] if world else step.observations
+        seen = step.observations
+        if trained is not None:  # a World's agent sees these as in its training
+            seen = as_seen(trained, "symbolic", seen)
+        before = world.shown(step.before, seen) if world else step.before
         for k, level in enumerate(step.level):
             rewards[level].append(float(step.rewards[k]))
             if agent.caveat:
@@ -217,8 +218,8 @@ def _each(
     if not np.size(states):
         raise ValueError("no states are given")
     bounded("batch", batch, 1, MOST)
-    if isinstance(agent.game, World):
-        agent.game.check(states, variant)
+    if isinstance(game := find(agent.game), World):
+        game.check(states, variant)
         return states[SEEN]
     n = min(batch, len(states))
     env = without_autoreset(agent.game, variant, n, agent.observation, agent.art)
