@@ -142,6 +142,8 @@ def resample(
     """Replace channels of a layer by their values in random other states.
 
     The replacement depends on `seed` and on the original output, so it is the same in every batch.
+    An agent with memory is rounded otherwise where it is asked along an episode, as by `visit` for
+    values and `episode.along`, than where it plays: other states are drawn there than it acted by.
 
     Args:
         donors: Activations in some states, [M, ...], as returned by `capture`.
