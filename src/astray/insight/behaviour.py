@@ -60,8 +60,9 @@ class Prediction:
         accuracy: On left-out levels, with its interval over them.
         always: Accuracy of always predicting the more common outcome.
         auc: Area under the ROC curve on left-out levels, with its interval: 0.5 is chance.
-        features: A row each: feature, coefficient (log odds per standard deviation), low, high,
-            vif, sign (fraction of subsets of features with the same sign), alone (auc of that
+        features: A row each: feature, coefficient (log odds per standard deviation, held back by
+            the penalty), low, high (of the weakest penalty, over levels, and the coefficient), vif,
+            sign (fraction of subsets of features with the same sign), alone (auc of that
             feature by itself), deviation (in cells).
         outcomes: [levels] bool, observed.
         chances: [levels] predicted probability from folds that exclude the level.
@@ -145,13 +146,15 @@ def predict(
     strength = max(PENALTIES, key=lambda c: _left_out(x, y, fold, c, LogisticRegression)[1])
     chances, _ = _left_out(x, y, fold, strength, LogisticRegression)
 
-    def coefficients(which: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        return _model(LogisticRegression, strength).fit(x[which][:, columns], y[which]).coef_[0]
+    def coefficients(which: np.ndarray, columns: np.ndarray, c: float = strength) -> np.ndarray:
+        return _model(LogisticRegression, c).fit(x[which][:, columns], y[which]).coef_[0]
 
     every, all_rows = np.arange(len(features)), np.arange(len(y))
     whole = coefficients(all_rows, every)
-    again = np.array([coefficients(_resample(y, random), every) for _ in range(RESAMPLES)])
-    low, high = np.quantile(again, [0.025, 0.975], axis=0)
+    # A strong penalty holds all near 0, often without width, where the truth of few levels is not.
+    drawn = [coefficients(_resample(y, random), every, PENALTIES[-1]) for _ in range(RESAMPLES)]
+    low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
+    low, high = np.minimum(low, whole), np.maximum(high, whole)
     areas = [area_under(y, x[:, k]) for k in every]
     return Prediction(
         levels=len(y),
