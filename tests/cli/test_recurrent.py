@@ -111,7 +111,7 @@ VERBS = (
 @pytest.mark.filterwarnings("ignore:Use 'content=<...>':DeprecationWarning")  # of huggingface_hub
 @pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.__name__)
 def test_a_verb_takes_an_agent_with_memory(verb, astray, agent, tmp_path, coarse, monkeypatch):
-    def here(todo, workers=None, on="here", track=None):
+    def here(todo, *_):
         for run, config in todo.items():
             train(config, run, progress=False)
 

@@ -22,7 +22,7 @@ from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.runs import open_run
 from astray.experiments import catalogue, labs, outcomes, run, videos
 from astray.experiments.outcomes import rate
-from astray.experiments.spec import plan_of
+from astray.experiments.spec import Plan, plan_of
 from astray.experiments.studies.coinrun import attribution
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
 from astray.game import Looks
@@ -247,13 +247,15 @@ def test_an_edit_of_a_game_of_ones_own_is_another_plan(tmp_path, monkeypatch):
     maze = games.find("maze")
     game = replace(maze, rules=SimpleNamespace(**vars(maze.rules) | {"step": rules.step}))
     monkeypatch.setattr(Config, "find_game", lambda _: game)
-    before = run.provenance_of([TINY])
-    assert before == run.provenance_of([TINY])
+    plan = Plan(agents={"mouse": TINY}, levels=1, differences="")
+    before = run.code_of(plan)
+    assert before == run.code_of(plan)
     source.write_text("def step(s, action):\n    return 1.0, False\n")
-    assert run.provenance_of([TINY]) != before
+    assert run.code_of(plan) != before
     monkeypatch.delitem(rules.step.__globals__, "__file__")
     monkeypatch.delitem(rules.step.__globals__, "__spec__")
-    assert run.provenance_of([TINY]) != run.provenance_of([TINY])
+    assert run.code_of(plan) is None  # and tables are always computed anew
+    assert run.inputs(plan, {}) != run.inputs(plan, {})
 
 
 def digest_of_tables(name):

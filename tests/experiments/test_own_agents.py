@@ -1,6 +1,8 @@
 """Studies of agents that others trained, in a world of nobody's: trained or found, told, filmed."""
 
+import importlib
 import json
+import sys
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -17,7 +19,7 @@ from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.trained import Network
 from astray.experiments import outcomes, spec
-from astray.experiments.run import inputs, own_runs, reproduce, resolved
+from astray.experiments.run import inputs, make_own, own_runs, reproduce, resolved
 from astray.experiments.spec import Experiment, OwnAgents, Plan
 from astray.training.config import Config
 from helpers.lava import GAME as LAVA
@@ -155,10 +157,29 @@ def test_agents_and_tables_are_computed_anew_where_a_function_carries_another_va
     for rate in (0.5, 0.5, 0.25):  # as in a loop, or of a command line: the source is one
         plan = experiment(train=carrying(way, rate)).sizes["smoke"]
         folders.append(own_runs(plan, "right", tmp_path))
+        make_own(plan, "right", folders[-1])
         measured = replace(plan, measures={"far": carrying(way, rate)})
         digests.append(inputs(measured, {"right": folders[0]})[1])
     assert folders[0] == folders[1] != folders[2]
     assert digests[0] == digests[1] != digests[2]
+
+
+def test_code_that_is_edited_while_agents_are_trained_is_not_what_measured(tmp_path, monkeypatch):
+    source, text = tmp_path / "measuring.py", "def far(states):\n    return [{}] * len(states)\n"
+
+    def edits(seed, folder):
+        train(seed, folder)
+        source.write_text(text.format(2.0))
+
+    monkeypatch.syspath_prepend(tmp_path)
+    source.write_text(text.format(1.0))
+    for told in (1.0, 2.0):
+        monkeypatch.delitem(sys.modules, "measuring", raising=False)
+        far = importlib.import_module("measuring").far
+        study = experiment(train=edits)
+        plan = replace(study.sizes["smoke"], measures={"far": far}, seeds=1, levels=3)
+        page = reproduce(replace(study, sizes={"smoke": plan}), "smoke", tmp_path)
+        assert episodes_of(page.parent)[0]["far"].unique().to_list() == [told]
 
 
 def test_agents_that_astray_trains_have_a_folder_for_each_state_of_your_code(tmp_path, monkeypatch):

@@ -105,8 +105,9 @@ def test_tables_are_computed_anew_where_a_study_of_ones_own_was_edited(tmp_path)
             f"{text}def find(work):\n    return {number}\n\n"
             "EXPERIMENT = replace(OTHER, find=find)\n"
         )
-        digests.add(run.provenance_of([], catalogue.find(str(path))[1].find))
-    assert len(digests) == 2 and "" not in digests
+        whole = catalogue.find(str(path))[1]
+        digests.add(run.code_of(whole.sizes["smoke"], whole))
+    assert len(digests) == 2 and None not in digests
 
 
 def test_other_settings_of_a_published_agent_compute_its_tables_anew(tmp_path):

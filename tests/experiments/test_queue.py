@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from astray.experiments import catalogue, run, workers
+from astray.experiments import catalogue, run, spec, workers
+from astray.experiments.spec import Plan
 from astray.experiments.workers import expected
 from astray.report import page as report
 from astray.training import checkpoint
@@ -50,6 +51,51 @@ def test_a_queue_with_a_mistake_in_it_does_not_begin(names, message, done):
     with pytest.raises(ValueError, match=message):
         run.reproduce_each(names, "smoke", Path())
     assert not done
+
+
+def test_a_study_whose_code_is_edited_while_it_waits_is_not_begun(tmp_path, monkeypatch):
+    mine, own = tmp_path / "mine.py", "from astray.experiments.studies.maze.maze_corner import *\n"
+    mine.write_text(f"{own}from dataclasses import replace\ndef find(work): 1\n"
+                    "EXPERIMENT = replace(EXPERIMENT, find=find)\n")  # fmt: skip
+    begun = []
+
+    def reproduce(name, *_, **__):
+        begun.append(name)
+        mine.write_text(mine.read_text() + "\n")
+
+    monkeypatch.setattr(run, "reproduce", reproduce)
+    monkeypatch.setattr(report, "write_index", lambda root: root)
+    with pytest.raises(RuntimeError, match=r"mine\.py: its code was edited after the command"):
+        run.reproduce_each(["maze-corner", str(mine)], "smoke", Path())
+    assert begun == ["maze-corner"]
+
+
+def test_agents_are_not_trained_by_code_that_was_edited_since_the_command_began(
+    tmp_path, monkeypatch
+):
+    source, pay = tmp_path / "edited_pay.py", "def pay(step):\n    return step.rewards * {}\n"
+    source.write_text(pay.format(1))
+    monkeypatch.syspath_prepend(tmp_path)
+    trained, config = [], replace(TINY, validation=None, reward="edited_pay:pay")
+    plan = Plan(
+        agents={"first": config, "second": replace(config, variant="anywhere-small")},
+        starts={"second": "first"},
+        levels=1,
+        differences="",
+    )
+
+    def train_all(todo, workers, on, track, known):
+        for folder, one in todo.items():
+            spec.check_unedited(one, known)
+            trained.append(train(one, folder, progress=False))
+            source.write_text(pay.format(2))
+
+    monkeypatch.setattr(run, "train_all", train_all)
+    with pytest.raises(ValueError, match="edited_pay was edited after this command began"):
+        run.train_agents(plan, tmp_path, 1, "here")
+    assert len(trained) == 1
+    with pytest.raises(ValueError, match="edited_pay was edited after this command began"):
+        workers.train_all({tmp_path / "run": config}, 1, known={"edited_pay": "another"})
 
 
 def test_art_that_no_study_has_is_refused_once(done, capsys):

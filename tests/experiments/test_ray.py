@@ -33,7 +33,7 @@ def test_a_node_goes_on_with_what_another_began(tmp_path, monkeypatch):
     folder = tmp_path / "run"
     train_to_first_checkpoint(TINY, folder, monkeypatch)
     assert not checkpoint.finished(folder, TINY)
-    cluster.train_on_node(TINY, folder, None)
+    cluster.train_on_node(TINY, folder, None, {})
     assert digest(folder) == digest(tmp_path / "whole")
 
 
@@ -45,7 +45,7 @@ def test_how_many_train_at_once_is_not_asked_of_a_cluster(tmp_path):
 
 def test_a_node_that_does_not_see_the_run_folder_says_so(tmp_path):
     with pytest.raises(ValueError, match="is not seen by every node"):
-        cluster.train_on_node(CONFIG, tmp_path / "elsewhere", None)
+        cluster.train_on_node(CONFIG, tmp_path / "elsewhere", None, {})
 
 
 def test_a_successor_waits_for_the_process_before_it(tmp_path, monkeypatch):
@@ -53,7 +53,7 @@ def test_a_successor_waits_for_the_process_before_it(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "PATIENCE", 0.2)
     monkeypatch.setattr(cluster.time, "sleep", waits.append)
     with checkpoint.claim(tmp_path, CONFIG), pytest.raises(checkpoint.Claimed):
-        cluster.train_on_node(CONFIG, tmp_path, None)
+        cluster.train_on_node(CONFIG, tmp_path, None, {})
     assert waits and set(waits) == {cluster.PAUSE}
 
 

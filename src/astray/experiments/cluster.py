@@ -2,11 +2,12 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from pathlib import Path
 
 from astray import imports
+from astray.experiments.spec import check_unedited
 from astray.training import checkpoint
 from astray.training.config import Config, Tracking
 from astray.training.track import train_tracked
@@ -16,7 +17,7 @@ PATIENCE = 300.0  # seconds: a file server may hold a dead node's lock for minut
 PAUSE = 5.0  # seconds between two looks at the lock
 
 # Begins a training in a run folder, and tells a tracker of it.
-Submit = Callable[[Config, Path, Tracking | None], Future[None]]
+Submit = Callable[[Config, Path, Tracking | None, Mapping[str, str]], Future[None]]
 
 
 @contextlib.contextmanager
@@ -34,7 +35,9 @@ def on_ray() -> Iterator[Submit]:
     except ConnectionError:
         raise ConnectionError("no Ray cluster is running; `ray start --head` begins one") from None
 
-    def submit(config: Config, run: Path, track: Tracking | None) -> Future[None]:
+    def submit(
+        config: Config, run: Path, track: Tracking | None, known: Mapping[str, str]
+    ) -> Future[None]:
         run.mkdir(parents=True, exist_ok=True)  # each node sees whether it is there
         task = ray.remote(train_on_node).options(
             name=str(run),
@@ -43,7 +46,7 @@ def on_ray() -> Iterator[Submit]:
             max_retries=RETRIES,
             retry_exceptions=[OSError],
         )
-        return task.remote(config, run.resolve(), track).future()  # pyrefly: ignore
+        return task.remote(config, run.resolve(), track, known).future()  # pyrefly: ignore
 
     try:
         yield submit
@@ -51,10 +54,17 @@ def on_ray() -> Iterator[Submit]:
         ray.shutdown()  # and with it all that still trains
 
 
-def train_on_node(config: Config, run: Path, track: Tracking | None) -> None:
-    """Train in `run` after the process before; raise ValueError if the node does not see it."""
+def train_on_node(
+    config: Config, run: Path, track: Tracking | None, known: Mapping[str, str]
+) -> None:
+    """Train in `run` after the process before.
+
+    Raises:
+        ValueError: If the node does not see the folder, or has other modules of the user's.
+    """
     if not run.is_dir():
         raise ValueError(f"{run} is not seen by every node; --out must be one that all nodes share")
+    check_unedited(config, known)
     until = time.monotonic() + PATIENCE
     while True:
         try:

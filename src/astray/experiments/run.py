@@ -32,6 +32,7 @@ from astray.experiments.spec import (
     Work,
     computed,
     name_of_run,
+    own_sources,
 )
 from astray.experiments.track import track_report
 from astray.experiments.workers import expected, train_all
@@ -109,10 +110,11 @@ def reproduce(
     )
     # Results of agents of others stand beside those of agents trained here.
     beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
+    code = code_of(plan, whole)  # as imported: it may be edited while agents are trained
     with hold(folder, "works on"), threads_for(size):
         runs = train_agents(plan, root, workers, on, track)
         check_writable(folder / PLAN)  # before the agents are played
-        text, digest = inputs(plan, runs, whole)
+        text, digest = inputs(plan, runs, whole, code)
         work = Work(name, size, plan, folder, digest, runs, pl.DataFrame())
         if plan.tests:
             work = replace(work, episodes=work.keep("episodes", lambda: play(plan, runs)))
@@ -165,7 +167,9 @@ def train_agents(
     runs = {name: [folders.find(agent)] for name, agent in plan.published.items()}
     trainings = plan.trainings()
     runs |= {name: [run_folder(root, one) for one in its] for name, its in trainings.items()}
+    runs |= {name: own_runs(plan, name, root) for name in plan.own}
     todo = {run: one for n, its in trainings.items() for run, one in zip(runs[n], its, strict=True)}
+    known = {name: one for c in todo.values() for name, one in (own_sources(c) or {}).items()}
     missing = {run: one for run, one in todo.items() if not checkpoint.finished(run, one)}
     if missing:
         checkpoint.check_all(missing)
@@ -174,9 +178,8 @@ def train_agents(
     if plan.own or missing:
         check_tests(plan)  # before hours of training, not after
         try_tests(plan)
-    own = sorted(plan.own, key=lambda name: plan.own[name].train is not None)
-    found = {name: own_runs(plan, name, root) for name in own}  # files may be missing: first
-    runs |= {name: found[name] for name in plan.own}
+    for name in sorted(plan.own, key=lambda name: plan.own[name].train is not None):
+        make_own(plan, name, runs[name])  # files may be missing: first
     if missing and plan.speed and on == "here" and plan.device in (None, "cpu"):
         tested = {run for name in plan.agents for run in runs[name]}  # others are soon trained
         slow = {run: one for run, one in todo.items() if run in tested}
@@ -184,23 +187,16 @@ def train_agents(
     for names in plan.phases():
         give_weights(plan, runs, names)
         now = {run for name in names for run in runs[name]}
-        train_all({run: one for run, one in todo.items() if run in now}, workers, on, track)
+        its = {run: one for run, one in todo.items() if run in now}
+        train_all(its, workers, on, track, known)
     return {name: its for name, its in runs.items() if name in {*plan.agents, *plan.own}}
 
 
 def own_runs(plan: Plan, name: str, root: Path) -> list[Path]:
-    """Return the files or folders of agents of others; train those that are missing.
-
-    Raises:
-        FileNotFoundError: If a file does not exist.
-        ValueError: If a training function wrote nothing.
-    """
+    """Return the files or folders of agents of others, which may be missing."""
     given = plan.own[name]
     if given.train is None:
-        found = [Path(file) for file in given.files]
-        if missing := [path for path in found if not path.exists()]:
-            raise FileNotFoundError(f"there is no agent {name!r} at {missing[0]}")
-        return found
+        return [Path(file) for file in given.files]
     settings = [*provenance.values(given.train)]
     if isinstance(plan.world, World):
         trained_in, variant = {s.train for s in plan.world.shifts.values()}, plan.world.variant
@@ -208,16 +204,27 @@ def own_runs(plan: Plan, name: str, root: Path) -> list[Path]:
         settings += [shown_first(plan.world, variant(one), level) for one in sorted(trained_in)]
     digest = provenance.digest(given.train, plan.world, data=settings) or uuid.uuid4().hex
     home = root / "agents" / f"{plan.game.name}-{name}-{digest[:8]}"
-    seeds = range(plan.first_seed, plan.first_seed + plan.seeds)
-    found = [home / f"seed-{seed}" for seed in seeds]
-    for seed, run in zip(seeds, found, strict=True):
-        if not run.exists():
-            with folder_aside(run) as aside:
-                given.train(seed, aside)
-                if not any(aside.iterdir()):
-                    raise ValueError(f"the training of {name!r}, seed {seed}, wrote no file")
-                os.replace(aside, run)
-    return found
+    return [home / f"seed-{plan.first_seed + k}" for k in range(plan.seeds)]
+
+
+def make_own(plan: Plan, name: str, runs: Sequence[Path]) -> None:
+    """Train the agents of others that are missing of `runs`, as `own_runs` has them.
+
+    Raises:
+        FileNotFoundError: If a file does not exist.
+        ValueError: If a training function wrote nothing.
+    """
+    train = plan.own[name].train
+    for seed, run in enumerate(runs, plan.first_seed):
+        if run.exists():
+            continue
+        if train is None:
+            raise FileNotFoundError(f"there is no agent {name!r} at {run}")
+        with folder_aside(run) as aside:
+            train(seed, aside)
+            if not any(aside.iterdir()):
+                raise ValueError(f"the training of {name!r}, seed {seed}, wrote no file")
+            os.replace(aside, run)
 
 
 def check_trainable(plan: Plan, trainings: Mapping[str, Iterable[Config]]) -> None:
@@ -263,7 +270,9 @@ def reproduce_each(names: Sequence[str], size: Size, root: Path, **how: Any) -> 
     for name in names:
         there = catalogue.NAMES if name == ALL else ()
         chosen += [n for n in there if size in catalogue.load(n).sizes] or [name]
-    plans, undrawn = [sized(name, size)[1].sizes[size] for name in chosen], []
+    found = [sized(name, size)[1] for name in chosen]
+    plans, undrawn = [whole.sizes[size] for whole in found], []
+    codes = [code_of(*both) for both in zip(plans, found, strict=True)]
     for plan in plans:
         try:
             plan.drawn_with(how.get("art", OWN))
@@ -272,8 +281,10 @@ def reproduce_each(names: Sequence[str], size: Size, root: Path, **how: Any) -> 
     if len(undrawn) == len(plans):
         raise undrawn[0]
     failed: dict[str, Exception] = {}
-    for name in chosen:
+    for name, plan, whole, code in zip(chosen, plans, found, codes, strict=True):
         try:
+            if name not in catalogue.NAMES and code_of(plan, whole) != code:
+                raise ValueError("its code was edited after the command began; repeat the command")
             reproduce(name, size, root, **how)
         except Exception as error:
             failed[name] = error
@@ -300,7 +311,25 @@ def note(text: bytes, digest: str, folder: Path) -> None:
     write_aside(folder / PLAN, text)
 
 
-def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[bytes, str]:
+def studied(whole: Experiment | None) -> tuple[object, ...]:
+    """Return the code that computes an experiment's tables beyond the episodes."""
+    loaded = [sys.modules[name] for name in catalogue.MODULES.values() if name in sys.modules]
+    study = [module for module in loaded if module.EXPERIMENT is whole]
+    return (whole.find, study) if whole else ()
+
+
+def code_of(plan: Plan, whole: Experiment | None = None) -> str | None:
+    """Return a digest of the sources, as they are now, that a plan's tables are computed by.
+
+    It is None if a source cannot be read, as in a notebook.
+    """
+    its = play, plan.measures, plan.rewards, *studied(whole), plan.world, plan.own
+    return provenance.digest(*its, [config.code() for config in plan.agents.values()])
+
+
+def inputs(
+    plan: Plan, runs: Runs, whole: Experiment | None = None, code: str | None = None
+) -> tuple[bytes, str]:
     """Return JSON of everything that a plan's tables are computed from, and its digest.
 
     Tables have it in their names, so none is reused for other inputs. ValueError is raised if two
@@ -308,15 +337,13 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
 
     Args:
         whole: Experiment that computes further tables than the episodes.
+        code: Result of `code_of` when the code was imported; None for now.
     """
     agents = {n: [agent_digest(run, n in plan.own) for run in made] for n, made in runs.items()}
     for name, made in agents.items():
         if len({*made}) < len(made):  # intervals would be too narrow
             told = f"two of {', '.join(map(str, runs[name]))} are one agent; remove one"
             raise ValueError(f"{told}, or let its training use a seed of its own")
-    loaded = [sys.modules[name] for name in catalogue.MODULES.values() if name in sys.modules]
-    study = [module for module in loaded if module.EXPERIMENT is whole]
-    code = (whole.find, study) if whole else ()
     played = [plan.world, *(one.load for one in plan.own.values())]
     data = {
         "configs": {n: [c.identity() for c in made] for n, made in plan.trainings().items()},
@@ -327,12 +354,10 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
         "visited": {name: asdict(test) for name, test in plan.visited.items()},
         "levels": [plan.first_level, plan.levels, plan.longest],
         "measures": [*plan.measures, *plan.rewards],
-        "values": [*provenance.values([*code[:1], plan.measures, plan.rewards, *played])],
+        "values": [*provenance.values([*studied(whole)[:1], plan.measures, plan.rewards, *played])],
         "pretrained": [agent_digest(folders.find(name)) for name in folders.pretrained()],
         "resolved": resolved(plan),
-        "sources": provenance_of(
-            plan.agents.values(), play, plan.measures, plan.rewards, *code, plan.world, plan.own
-        ),
+        "sources": code or code_of(plan, whole) or uuid.uuid4().hex,
     }
     text = json.dumps(data, indent=1).encode()
     return text, hashlib.sha256(text).hexdigest()[:16]
@@ -377,14 +402,6 @@ def pictures_of(config: Config, variant: Any) -> str:
     looks = config.find_game().drawn(config.art) if is_shown else None  # a World renders its own
     parts = looks.pictures(variant, 64) if looks else ()
     return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()[:16]
-
-
-def provenance_of(configs: Iterable[Config], *things: object) -> str:
-    """Return a digest of the sources of `things` and of everything the agents depend on.
-
-    It is new in every call if a source cannot be read, as in a notebook.
-    """
-    return provenance.digest(*things, [c.code() for c in configs]) or uuid.uuid4().hex
 
 
 def agent_digest(run: Path, is_own: bool = False) -> str:

@@ -307,23 +307,44 @@ def open_agents(plan: Plan, runs: Runs) -> dict[str, list[Agent | Loaded]]:
     }
 
 
-def own_code(config: Config) -> str:
-    """Return a text of a training's sources that are not astray's, and of what its World shows.
+def own_sources(config: Config) -> dict[str, str] | None:
+    """Return the digest of each module of a training that is not astray's.
 
-    It is "" for astray's own games and networks, whose agents outlive its versions.
+    It is None for astray's own games and networks, whose agents outlive its versions.
     """
-    game = config.find_game()
     try:
         code = config.code()
     except ValueError:  # it cannot be imported, which is told before any training
-        return ""
+        return None
     if len(code) == 1 and config.game in games.OWN:
-        return ""
+        return None
     found = provenance.sources(code) or {}  # a notebook has none
-    mine = [one for one in found.items() if not f"{one[0]}.".startswith("astray.")]
-    variant, is_world = config.training_variant(), isinstance(game, World)
+    return {name: one for name, one in found.items() if not f"{name}.".startswith("astray.")}
+
+
+def own_code(config: Config) -> str:
+    """Return a text of a training's own sources, if any, and of what its World shows."""
+    if (mine := own_sources(config)) is None:
+        return ""
+    game, variant = config.find_game(), config.training_variant()
+    is_world = isinstance(game, World)
     shown = shown_first(game, variant, config.first_level) if is_world else ""  # pyrefly: ignore
-    return f"{sorted(mine)}{shown}"
+    return f"{sorted(mine.items())}{shown}"
+
+
+def check_unedited(config: Config, known: Mapping[str, str]) -> None:
+    """Raise ValueError if a training's modules are not those that a command began with.
+
+    Args:
+        known: Digests of modules, as `own_sources` found them then.
+    """
+    for name, digest in (own_sources(config) or {}).items():
+        # A script's objects are sent to a process as they are.
+        if name not in ("__main__", "__mp_main__") and known.get(name, digest) != digest:
+            raise ValueError(
+                f"{name} was edited after this command began, and its agents must be of one code; "
+                "undo the edit, and the same command goes on, or it trains anew with the edit"
+            )
 
 
 def name_of_run(config: Config) -> str:

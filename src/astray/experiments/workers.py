@@ -25,7 +25,7 @@ from rich.table import Table
 from astray import world
 from astray.envs.pool import usable_processors
 from astray.experiments.cluster import Submit, on_ray
-from astray.experiments.spec import Place
+from astray.experiments.spec import Place, check_unedited
 from astray.files import UNGUARDED
 from astray.training import checkpoint
 from astray.training.config import Config, Tracking
@@ -44,12 +44,14 @@ def train_all(
     workers: int | None = None,
     on: Place = "here",
     track: Tracking | None = None,
+    known: Mapping[str, str] | None = None,
 ) -> None:
     """Train every agent whose run folder is not complete.
 
     Args:
         workers: Number of agents to train in parallel; None for one per processor.
         track: Tracker that records the trainings' metrics.
+        known: Digests of the user's modules, as for `spec.check_unedited`.
 
     Raises:
         ValueError: If a training fails.
@@ -59,7 +61,8 @@ def train_all(
         return
     count = min(workers or usable_processors(), len(missing))
     with on_ray() if on == "ray" else in_processes(count) as submit:
-        watch({run: submit(config, run, track) for run, config in missing.items()}, missing)
+        told = known or {}
+        watch({run: submit(config, run, track, told) for run, config in missing.items()}, missing)
 
 
 def expected(todo: Mapping[Path, Config], speed: int, workers: int | None = None) -> str:
@@ -110,18 +113,22 @@ def in_processes(count: int) -> Iterator[Submit]:
 
 
 def _submit(
-    pool: ProcessPoolExecutor, config: Config, run: Path, track: Tracking | None
+    pool: ProcessPoolExecutor,
+    config: Config,
+    run: Path,
+    track: Tracking | None,
+    known: Mapping[str, str],
 ) -> Future[None]:
     """Submit a training to `pool`, which may start processes for it."""
     of = None
     if isinstance(game := config.find_game(), World):  # which the process does not know by name
         of = CloudpickleWrapper(game)  # pyrefly: ignore
     if os.name == "nt":
-        return pool.submit(_train, config, run, track, of)
+        return pool.submit(_train, config, run, track, known, of)
     # They inherit that an interrupt waits, which each would otherwise report while it begins.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
-        return pool.submit(_train, config, run, track, of)
+        return pool.submit(_train, config, run, track, known, of)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
@@ -132,9 +139,12 @@ def _begin(there: Connection) -> None:
     threading.Thread(target=_end_at, args=(there,), daemon=True).start()
 
 
-def _train(config: Config, run: Path, track: Tracking | None, of: Any) -> None:
+def _train(
+    config: Config, run: Path, track: Tracking | None, known: Mapping[str, str], of: Any
+) -> None:
     if of is not None:
         world.register(of.fn)
+    check_unedited(config, known)
     # Another experiment may want the same agent: it is trained once, for both.
     train_tracked(config, run, track, progress=False, wait=True)
 

@@ -15,7 +15,7 @@ import polars as pl
 from astray.analysis.outcomes import outcomes_of, rates
 from astray.analysis.tables import write_table
 from astray.experiments.levels import play, try_tests
-from astray.experiments.run import inputs, train_agents
+from astray.experiments.run import code_of, inputs, train_agents
 from astray.experiments.spec import Place, Plan, Runs, cached
 from astray.experiments.sweep.report import findings, heading
 from astray.experiments.sweep.settings import Cell, Sweep
@@ -46,6 +46,7 @@ def run_sweep(
         plans = sweep.plans()
         agents = {name: config for plan in plans.values() for name, config in plan.agents.items()}
         joined = replace(next(iter(plans.values())), agents=agents, tests={}, first_level=None)
+        code = code_of(joined)  # before it may be edited
         for plan in plans.values():
             try_tests(plan)
         runs = train_agents(joined, folder, workers, on, track)
@@ -53,7 +54,7 @@ def run_sweep(
         axes = {name: list(values) for name, values in sweep.axes.items()}
         settings = vars(sweep) | {"base": sweep.base.to_json(), "axes": axes}
         write_aside(folder / SWEPT, json.dumps(settings, indent=1).encode())
-        parts = [_episodes(sweep, folder, cell, plan, runs) for cell, plan in plans.items()]
+        parts = [_episodes(sweep, folder, cell, plan, runs, code) for cell, plan in plans.items()]
         episodes = pl.concat(parts, how="diagonal_relaxed")
         write_table(episodes, folder / OUTCOMES)
         by = (*sweep.columns(), "policy", "test")
@@ -62,10 +63,12 @@ def run_sweep(
         return report.write(heading(sweep, folder), findings(sweep, episodes, table), folder)
 
 
-def _episodes(sweep: Sweep, folder: Path, cell: Cell, plan: Plan, runs: Runs) -> pl.DataFrame:
+def _episodes(
+    sweep: Sweep, folder: Path, cell: Cell, plan: Plan, runs: Runs, code: str | None
+) -> pl.DataFrame:
     """Return the episodes of a combination's agents and of scripts, in training and test."""
     mine = {name: runs[name] for name in plan.agents}
-    _, digest = inputs(plan, mine)
+    _, digest = inputs(plan, mine, code=code)
     table = cached(folder, digest, lambda: play(plan, mine)).drop("agent")
     axes = zip(sweep.columns(), cell, sweep.axes.values(), strict=True)
     return table.with_columns(  # None is a value as others are, and no gap
