@@ -110,7 +110,9 @@ def reproduce(
     )
     # Results of agents of others stand beside those of agents trained here.
     beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
-    code = code_of(plan, whole)  # as imported: it may be edited while agents are trained
+    code = None  # as imported: it may be edited while agents are trained
+    with contextlib.suppress(ValueError):  # the training says what cannot be imported
+        code = code_of(plan, whole)
     with hold(folder, "works on"), threads_for(size):
         runs = train_agents(plan, root, workers, on, track)
         check_writable(folder / PLAN)  # before the agents are played
