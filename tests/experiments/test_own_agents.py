@@ -1,5 +1,6 @@
 """Studies of agents that others trained, in a world of nobody's: trained or found, told, filmed."""
 
+import contextlib
 import importlib
 import json
 import sys
@@ -11,6 +12,7 @@ from types import FunctionType, SimpleNamespace
 import numpy as np
 import polars as pl
 import pytest
+from filelock import Timeout
 from torch import nn
 
 from astray.analysis import video
@@ -18,9 +20,10 @@ from astray.analysis.adapters import Function
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.trained import Network
-from astray.experiments import outcomes, spec
+from astray.experiments import outcomes, run, spec
 from astray.experiments.run import inputs, make_own, own_runs, reproduce, resolved
 from astray.experiments.spec import Experiment, OwnAgents, Plan
+from astray.files import hold
 from astray.training.config import Config
 from helpers.lava import GAME as LAVA
 from helpers.rooms import CELLS, WORLD, Room
@@ -162,6 +165,26 @@ def test_agents_and_tables_are_computed_anew_where_a_function_carries_another_va
         digests.append(inputs(measured, {"right": folders[0]})[1])
     assert folders[0] == folders[1] != folders[2]
     assert digests[0] == digests[1] != digests[2]
+
+
+def test_an_agent_that_another_study_has_trained_meanwhile_is_taken(tmp_path):
+    runs = [tmp_path / "room-right" / f"seed-{seed}" for seed in range(2)]
+
+    def trains(seed, folder):
+        train(seed, folder)
+        with pytest.raises(Timeout), hold(runs[0].parent, "trains in", wait=False):
+            pytest.fail("two train at once")
+
+    @contextlib.contextmanager
+    def waits(*_):
+        runs[0].mkdir(parents=True)
+        yield
+
+    make_own(plan := experiment(train=trains).sizes["smoke"], "right", runs[1:])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "hold", waits)
+        make_own(plan, "right", runs[:1])
+    assert [list(path.iterdir()) for path in runs] == [[], [runs[1] / "agent.txt"]]
 
 
 def test_code_that_is_edited_while_agents_are_trained_is_not_what_measured(tmp_path, monkeypatch):

@@ -222,7 +222,9 @@ def make_own(plan: Plan, name: str, runs: Sequence[Path]) -> None:
             continue
         if train is None:
             raise FileNotFoundError(f"there is no agent {name!r} at {run}")
-        with folder_aside(run) as aside:
+        with hold(run.parent, "trains in"), folder_aside(run) as aside:
+            if run.exists():  # another study had it trained meanwhile
+                continue
             train(seed, aside)
             if not any(aside.iterdir()):
                 raise ValueError(f"the training of {name!r}, seed {seed}, wrote no file")
