@@ -6,11 +6,13 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from pathlib import Path
 
-from astray import imports
+from astray import imports, world
 from astray.experiments.spec import check_unedited
 from astray.training import checkpoint
 from astray.training.config import Config, Tracking
 from astray.training.track import train_tracked
+from astray.validation import brief
+from astray.world import World
 
 RETRIES = 20  # of a training whose node or process died; each goes on from its last checkpoint
 PATIENCE = 300.0  # seconds: a file server may hold a dead node's lock for minutes
@@ -46,22 +48,35 @@ def on_ray() -> Iterator[Submit]:
             max_retries=RETRIES,
             retry_exceptions=[OSError],
         )
-        return task.remote(config, run.resolve(), track, known).future()  # pyrefly: ignore
+        game = config.find_game()  # a World is not known by its name elsewhere
+        of = game if isinstance(game, World) else None
+        return task.remote(config, run.resolve(), track, known, of).future()  # pyrefly: ignore
 
     try:
         yield submit
+    except ray.exceptions.RayError as error:  # whose text is the node's traceback
+        cause, *_, last = getattr(error, "cause", error), *str(error).strip().splitlines()
+        if isinstance(cause, ray.exceptions.RayError):
+            cause = RuntimeError(f"a node of the cluster fails: {brief(last)}")
+        raise cause from error
     finally:
         ray.shutdown()  # and with it all that still trains
 
 
 def train_on_node(
-    config: Config, run: Path, track: Tracking | None, known: Mapping[str, str]
+    config: Config,
+    run: Path,
+    track: Tracking | None,
+    known: Mapping[str, str],
+    of: World | None = None,
 ) -> None:
     """Train in `run` after the process before.
 
     Raises:
         ValueError: If the node does not see the folder, or has other modules of the user's.
     """
+    if of is not None:
+        world.register(of)
     if not run.is_dir():
         raise ValueError(f"{run} is not seen by every node; --out must be one that all nodes share")
     check_unedited(config, known)
