@@ -12,7 +12,7 @@ import astray
 from astray.files import write_aside
 from astray.training import folders
 from astray.training.loop import train
-from helpers.hub_server import READER, WRITER, running
+from helpers.hub_server import READER, WRITER, Repository, running
 from helpers.trainings import TINY
 
 huggingface_hub = pytest.importorskip("huggingface_hub")
@@ -111,6 +111,19 @@ def test_a_second_push_replaces_the_first_agent(pushed, tmp_path):
     ours.push(other, "ada/mouse")
     weights = [path for path in files(pushed) if path.endswith("safetensors")]
     assert weights == ["checkpoints/77/agent.safetensors"]
+
+
+def test_a_repository_with_files_of_others_is_not_pushed_to(server):
+    others = {"README.md": b"# A robot", ".gitattributes": b"", "checkpoints/9/model.pt": b"mine"}
+    repository = server.repositories["ada/robot"] = Repository(False)
+    commit = repository.commit("main", others)
+    with pytest.raises(OSError, match=r"holds 'checkpoints/9/model\.pt', which astray did not"):
+        ours.push("maze-corner", "ada/robot")
+    assert repository.branches == {"main": commit} and repository.commits[commit] == others
+    del others["checkpoints/9/model.pt"]  # as a repository that was made on the Hub's page
+    repository.commit("main", others)
+    ours.push("maze-corner", "ada/robot")
+    assert "digests.json" in repository.commits[repository.branches["main"]]
 
 
 def test_revisions_are_pushed_and_pulled(pushed):

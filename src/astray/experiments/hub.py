@@ -7,6 +7,7 @@ network. digests.json: the size and SHA-256 of each of these.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import re
@@ -39,6 +40,7 @@ DIGEST = re.compile(r"[0-9a-f]{64}")
 FORMAT = 1  # of digests.json
 LARGEST, LARGEST_AGENT = 2**25, 2**31  # bytes of a file, and of one with weights
 NEEDED = (CONFIG, CARD)
+ANYONES = {CARD, ".gitattributes", "LICENSE"}  # files that a new repository may have
 PURSUES = "## What it pursues"  # which every card says
 
 
@@ -76,7 +78,7 @@ def push(
         ImportError: If huggingface_hub is not installed.
         ValueError: If the agent is not your own, or the repository's name is invalid.
         PermissionError: If the Hub denies it.
-        OSError: If the Hub cannot be reached or has no room.
+        OSError: If the Hub cannot be reached or has no room, or the repository holds other files.
     """
     _check_name(repository, revision)
     api = _api(endpoint)
@@ -91,6 +93,7 @@ def push(
         raise ValueError(
             f"{its.path} was brought from elsewhere; only agents of your own are pushed"
         )
+    _check_ours(api, repository, revision)
     with tempfile.TemporaryDirectory(prefix="astray-") as passing:
         folder = _with_card(its, repository, shift, levels, Path(passing))
         write_aside(folder / DIGESTS, json.dumps(_digests(folder), indent=1).encode())
@@ -157,6 +160,19 @@ def pull(
         source = {"repository": repository, "commit": commit, "revision": revision}
         write_aside(aside / HUB, json.dumps(source, indent=1).encode())
     return home / name
+
+
+def _check_ours(api: HfApi, repository: str, revision: str | None) -> None:
+    """Raise OSError if a repository holds files that astray did not write: a push replaces some."""
+    from huggingface_hub.errors import RepositoryNotFoundError, RevisionNotFoundError
+
+    there: set[str] = set()
+    with reached(repository, revision, "pushed", DIGESTS), wary(pushes=True):
+        with contextlib.suppress(RepositoryNotFoundError, RevisionNotFoundError):  # it is new
+            there = {*api.list_repo_files(repository, revision=revision)} - ANYONES
+        if there and DIGESTS not in there:
+            told = f"it holds {shown(min(there))}, which astray did not write"
+            raise OSError(f"{told}; push to a repository of its own")
 
 
 def _api(endpoint: str | None) -> HfApi:
