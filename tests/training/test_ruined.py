@@ -257,6 +257,14 @@ def test_metrics_that_are_cut_short_are_told_before_a_report(begun):
             checkpoint.finished(begun, TINY)
 
 
+def test_a_training_does_not_go_on_behind_a_gap_in_its_metrics(begun):
+    (begun / "metrics.jsonl").write_text("")
+    with pytest.raises(ValueError, match=r"ends at step 0, and the last checkpoint is of step"):
+        train(TINY, begun, progress=False)
+    (begun / "metrics.jsonl").unlink()  # on purpose
+    train(TINY, begun, progress=False)
+
+
 def test_a_training_that_is_refused_leaves_nothing(tmp_path):
     huge = replace(TINY, width=10**7)
     with pytest.raises(MemoryError, match="need"):

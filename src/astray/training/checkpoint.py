@@ -162,9 +162,10 @@ def save(folder: Path, trainer: Trainer) -> None:
 
 def restore(folder: Path, trainer: Trainer) -> None:
     """Restore the last checkpoint into `trainer`, if any; raise ValueError if it is damaged."""
-    if not steps_saved(folder):
+    if not (saved := steps_saved(folder)):
         return
     config, path = trainer.config, latest(folder)
+    _check_metrics(folder, saved[-1])
     policy.load_into(trainer.network, path / AGENT, config.game)
     try:
         tensors, header = policy.read_tensors(path / TRAINER, config.game)
@@ -185,15 +186,19 @@ def finished(folder: Path, config: Config) -> bool:
     steps = steps_saved(folder)
     if steps:
         check(folder, config)
-    complete = bool(steps) and steps[-1] >= config.iterations * config.batch
-    if complete and (path := folder / METRICS).exists():
+        _check_metrics(folder, steps[-1])
+    return bool(steps) and steps[-1] >= config.iterations * config.batch
+
+
+def _check_metrics(folder: Path, steps: int) -> None:
+    """Raise ValueError if metrics.jsonl ends before the last checkpoint: its lines come first."""
+    if (path := folder / METRICS).exists():
         last = max((line["steps"] for line in metrics(folder)), default=0)
-        if last < steps[-1]:  # a line is written before its checkpoint
+        if last < steps:
             raise ValueError(
-                f"{path} ends at step {last:,}, and the last checkpoint is of step {steps[-1]:,}; "
+                f"{path} ends at step {last:,}, and the last checkpoint is of step {steps:,}; "
                 f"remove {folder}, and it is trained again"
             )
-    return complete
 
 
 def metrics(folder: Path) -> list[dict[str, Any]]:
