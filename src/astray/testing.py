@@ -26,9 +26,9 @@ from astray.analysis.policies import Walk
 from astray.envs.compiled import compiled_loop
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
-from astray.game import OWN, Game, Variant
+from astray.game import MUTATIONS, OWN, Game, Variant
 from astray.level import Level
-from astray.record import NEVER, trusted
+from astray.record import COMMON, NEVER, trusted
 from astray.validation import shown
 
 LOG = logging.getLogger("astray")
@@ -161,12 +161,14 @@ def check_levels(game: Game, variant: Variant) -> None:
             if env.states["ended"].any():
                 break
             env.step(actions)
-        for event in game.events:
-            env._states[event] = 1  # as if it had happened in the last episode
+        for name in {"turn", *(game.state.names or ())} - (COMMON - {"turn"}) - {"gap"}:
+            env._states[name] = 1  # as an episode before may have left it
         again, info = env.reset(options={"level": [9, 8, 7]})
         for name in {*(game.state.names or ())} - {"seed", "turn"}:
             same = np.array_equal(begun[name], env.get_state()[name][::-1])
-            assert same, f"`generate` leaves {name!r} as it was in the last episode"
+            assert same, (
+                f"`generate` leaves {name!r} as it was in the last episode, or takes it from `turn`"
+            )
         assert np.array_equal(first, again[::-1]), f"the level began in another way: {DRAWN}"
         assert info["level"].tolist() == [9, 8, 7]
 
@@ -194,6 +196,22 @@ def check_states(game: Game, variant: Variant) -> None:
         assert data_equivalence(one.step(actions), two.step(actions), exact=True), (
             "it goes on otherwise"
         )
+
+
+def check_observing(game: Game, variant: Variant) -> None:
+    """Check that what is seen leaves the state as it is: it is the same however one looks."""
+    envs = [GameVectorEnv(game, variant, 3, **options) for options in observations(game)]
+    for env in envs:
+        env.reset(seed=1)
+    for actions in _actions(envs[0], 20):
+        told = [env.get_state() for env in envs]
+        for env in envs:
+            env.set_state(told[0])
+            told.append(env.get_state())
+            env.step(actions)
+        for name in game.state.names or ():
+            same = all(np.array_equal(one[name], told[0][name]) for one in told)
+            assert same, f"what draws or writes planes changes {name!r}"
 
 
 def check_events(game: Game, variant: Variant) -> None:
@@ -237,10 +255,29 @@ def check_editing(game: Game, variant: Variant) -> None:
         told = game.editing.describe(s)
         assert told["grid"] == game.editing.grid(s).tolist()
         assert told["agent"] == game.editing.centre(s)
-        assert game.editing.describe(level.state(solvable=False)) == told
+        built = level.state(solvable=False)
+        assert game.editing.describe(built) == told
+        for name in {*(game.state.names or ())} - COMMON - {"gap"}:
+            assert s.shifted or np.array_equal(built[name], s[name]), (
+                f"`describe` and `build` lose {name!r} of level {s.level}"
+            )
         assert Level.from_json(game, variant, level.to_json()).to_json() == level.to_json()
         drawn = Level.from_text(game, variant, str(level))
         assert (drawn.cells == level.cells).all() and drawn.agent == level.agent
+
+
+def check_mutation(game: Game, variant: Variant) -> None:
+    """Check that edited levels are the variant's, depend on their seeds, and have no number."""
+    if not game.mutation:
+        return
+    begun = initial_states(game, variant, LEVELS)
+    before, seeds = begun.tobytes(), np.arange(len(begun), dtype=np.uint32)
+    for kind in MUTATIONS:
+        one, two = (game.mutation.mutate(begun, variant, seeds, 5, kind) for _ in range(2))
+        assert begun.tobytes() == before, "the states given were changed"
+        assert one.tobytes() == two.tobytes(), f"{kind}: equal seeds give other edits"
+        assert len(one) == len(begun) and (one["level"] == NEVER).all(), f"{kind}: {one['level']}"
+        game.check(one, variant)
 
 
 def check_solver(game: Game, variant: Variant) -> None:
@@ -347,8 +384,8 @@ def check_compiled_once(game: Game, variant: Variant) -> None:
 
 CHECKS: tuple[Callable[[Game, Variant], None], ...] = (
     check_indices, check_batches, check_gymnasium, check_seeds, check_levels, check_time_limit,
-    check_states, check_events, check_symbols, check_editing, check_solver, check_places,
-    check_cells, check_labels, check_measures, check_compiled_once,
+    check_states, check_observing, check_events, check_symbols, check_editing, check_mutation,
+    check_solver, check_places, check_cells, check_labels, check_measures, check_compiled_once,
 )  # fmt: skip
 
 

@@ -146,6 +146,24 @@ def forgets_apples(s, p):
 
 
 @kernel
+def takes_its_turn(s, p):
+    lava.generate(s, p)
+    s.x += s.turn
+
+
+@kernel
+def draws_and_eats(s, art, scene, image):
+    lava.foreground(s, art, scene, image)
+    s.apples = 0
+
+
+@kernel
+def shows_and_eats(s, scene, planes):
+    lava.foreground_planes(s, scene, planes)
+    s.apples += 1
+
+
+@kernel
 def renumbers(s, action):
     s.level += s.time == 2
     return 0.0, False
@@ -172,6 +190,19 @@ def swaps(s, action):
     [
         (testing.check_levels, {"generate": forgets_an_event}, AssertionError, "leaves 'burnt' as"),
         (testing.check_levels, {"generate": forgets_apples}, AssertionError, "leaves 'apples' as"),
+        (testing.check_levels, {"generate": takes_its_turn}, AssertionError, "'x' .* from `turn`"),
+        (
+            testing.check_observing,
+            {"foreground": draws_and_eats},
+            AssertionError,
+            "planes changes 'apples'",
+        ),
+        (
+            testing.check_observing,
+            {"foreground_planes": shows_and_eats},
+            AssertionError,
+            "planes changes 'apples'",
+        ),
         (testing.check_events, {"step": renumbers}, AssertionError, "`step` changes 'level'"),
         (
             testing.check_events,
@@ -190,8 +221,48 @@ def swaps(s, action):
 )
 def test_what_is_wrong_with_rules_and_levels_is_found(check, wrong, kind, said):
     parts: Any = SimpleNamespace(**{**vars(lava), **wrong})
+    looks = {"own": replace(lava.GAME.looks["own"], foreground=parts.foreground)}
+    game = replace(lava.GAME, rules=parts, levels=parts, symbols=parts, looks=looks)
     with pytest.raises(kind, match=said):
-        check(game := replace(lava.GAME, rules=parts, levels=parts), game.variant("lava"))
+        check(game, game.variant("lava"))
+
+
+def edited(**others):
+    """Maze, whose levels are edited in another way."""
+    own = {name: getattr(GAME.editing, name) for name in dir(GAME.editing) if name[0] != "_"}
+    return replace(GAME, editing=SimpleNamespace(**own | others))
+
+
+def builds_another(*level):
+    s = GAME.editing.build(*level)
+    s["faces_right"] ^= True
+    return s
+
+
+def mutated(change):
+    def mutate(*args):
+        made = GAME.mutation.mutate(*args)
+        change(made)
+        return made
+
+    return replace(GAME, mutation=SimpleNamespace(mutate=mutate))
+
+
+@pytest.mark.parametrize(
+    ("check", "game", "said"),
+    [
+        (testing.check_editing, edited(build=builds_another), "lose .faces_right. of level 0"),
+        (testing.check_mutation, mutated(lambda made: made["level"].fill(3)), r"\[3 3 3 3 3\]"),
+        (
+            testing.check_mutation,
+            mutated(lambda made: made["x"].put(0, np.random.default_rng().random())),
+            "equal seeds give other edits",
+        ),
+    ],
+)
+def test_what_is_wrong_with_edits_is_found(check, game, said):
+    with pytest.raises(AssertionError, match=said):
+        check(game, SMALL)
 
 
 @kernel
