@@ -1,5 +1,8 @@
 """The lab in a notebook: the page as a widget, and the answers that it gets there."""
 
+import json
+
+import numpy as np
 import pytest
 
 import astray.lab
@@ -81,13 +84,14 @@ def test_a_cell_that_is_cleared_listens_no_longer(notebook):
     assert notebook.evaluate("labs.map((lab) => lab.editor.pressed.size)") == [0, 0, 1]
 
 
-def test_the_notebook_s_widget_answers_its_page():
+@pytest.mark.parametrize("level", [ROOM, np.int64(17)])
+def test_the_notebook_s_widget_answers_its_page(level):
     pytest.importorskip("anywidget", reason="anywidget is not installed")
-    widget = astray.lab.show("maze-corner", ROOM)
+    widget = astray.lab.show("maze-corner", level)
     sent = []
-    widget.send = lambda answer: sent.append(answer)
+    widget.send = lambda answer: sent.append(json.loads(json.dumps(answer)))
     widget._handle_custom_msg('{"id": 4, "kind": "hello"}', [])
-    assert sent[-1]["id"] == 4 and sent[-1]["start"]["level"] == ROOM
+    assert sent[-1]["id"] == 4 and sent[-1]["start"]["level"] == level
     assert {"app.js", "index.html", "rules/maze.js"} <= widget.modules.keys()
 
 
@@ -106,5 +110,8 @@ def test_a_notebook_shows_what_it_is_asked_for_or_nothing():
     for wrong in ({"game": "coinrun"}, {"variant": "corner-small"}):
         with pytest.raises(ValueError, match=r"got game=.* and a level of maze: anywhere, in 7"):
             astray.lab.show("maze-corner", level, **wrong)
+    for level, said in ((-1, "from 0 to"), (3.0, "int or str"), ("..G\n.#.\n@..", "3 x 3 cells")):
+        with pytest.raises(ValueError, match=said):
+            astray.lab.show("maze-corner", level)
     with pytest.raises(TypeError, match="difficulty"):
         astray.lab.show("maze-corner", 3, difficulty="corner-small")

@@ -9,11 +9,13 @@ from astray.acting import Policy, check_policy
 from astray.analysis.trained import Agent, Network, Opaque, looked_into
 from astray.lab.agents import Agents
 from astray.lab.goals import FIRST_FEW, typical
+from astray.lab.messages import Message
 from astray.lab.session import Lab
+from astray.lab.worlds import read_world
 from astray.level_files import read_level
 from astray.training import folders
 from astray.training.folders import AgentFolder
-from astray.validation import of_kind
+from astray.validation import of_kind, plain
 
 FIRST = "maze-corner"  # of the agents, where nobody says which
 
@@ -64,9 +66,12 @@ def make_lab(
     if about and about["game"] != game.name:
         raise ValueError(f"the agent {name!r} plays {about['game']}, not {game.name}")
     variant = game.variant(first.setdefault("variant", next(iter(game.variants))))
-    variant = variant.with_knobs(about.get("knobs", {}).get(first["variant"], {}))
+    variant = variant.with_knobs(own := about.get("knobs", {}).get(first["variant"], {}))
     if isinstance(first.get("level"), Path):
         first["level"] = read_level(first["level"], game, variant).to_json()
+    elif "level" in first and game.editing:
+        first["level"] = plain(first["level"])  # a page would tell what is wrong with it late
+        read_world(Message(0, "level", game.name, first["variant"], own, first["level"]))
     shift = game.shifts.get(about.get("shift", ""))
     if "level" not in first and shift and first["variant"] == shift.test:
         first["level"], first["why"] = typical(game, variant, shift, agents.player(name), few=few)
