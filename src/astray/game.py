@@ -233,6 +233,14 @@ class Game:
                         f"astray.protocols.{kind.__name__} says; got {shown(given)}"
                     )
         check_names(self, "looks", "labels")
+        for art, one in self.looks.items():  # code is compiled under the name alone
+            of_kind("looks", one, Looks)
+            same = self.looks.get(one.name)
+            if not same or (same.background, same.foreground) != (one.background, one.foreground):
+                raise ValueError(
+                    f"the looks {art!r} of the game {self.name!r} must be named so, or after looks "
+                    f"with the same functions; got {shown(one.name)}"
+                )
         check_goals(self)
         for ability in ABILITIES:
             if getattr(self, ability) is None:

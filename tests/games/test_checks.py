@@ -163,6 +163,14 @@ def shows_and_eats(s, scene, planes):
     s.apples += 1
 
 
+def test_looks_that_would_be_drawn_by_the_functions_of_others_are_refused():
+    own = lava.GAME.looks["own"]
+    for name in ("own", "dusk"):
+        night = replace(own, name=name, foreground=draws_and_eats)
+        with pytest.raises(ValueError, match=f"looks 'night' of the game 'lava' .*; got '{name}'"):
+            replace(lava.GAME, looks={"own": own, "night": night})
+
+
 @kernel
 def renumbers(s, action):
     s.level += s.time == 2
