@@ -540,6 +540,48 @@ def test_a_value_or_a_kernel_that_is_changed_after_it_was_compiled_is_compiled_a
         assert done.stdout.split() == ["1.0", "2.0", "2.0", "7.0"]
 
 
+IN_FILES = """
+import numba
+import of_constants
+
+PAID = of_constants.PAID
+
+@numba.njit(cache=True)
+def paid():
+    return PAID
+
+@numba.njit("float64()", cache=True)
+def declared():
+    return 10 * paid()
+"""
+CALLED = """
+import numba, of_kept
+from astray.kernel.jit import renewed
+
+@numba.njit
+def step():
+    return of_kept.paid() + of_kept.declared()
+
+renewed([step])
+print(step())
+"""
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_code_that_numba_keeps_in_files_is_new_after_an_edit_of_what_it_imports(tmp_path):
+    (tmp_path / "program.py").write_text(CALLED)
+    (tmp_path / "of_kept.py").write_text(IN_FILES)
+    told = []
+    for paid in ("1.0", "2.25"):
+        (tmp_path / "of_constants.py").write_text(f"PAID = {paid}\n")
+        told += ran(
+            tmp_path / "program.py",
+            NUMBA_CACHE_DIR=str(tmp_path / "cache"),
+            PYTHONPATH=f"{tmp_path}{os.pathsep}{Path(astray.__file__).parents[1]}",
+        )
+    assert told == ["11.0", "24.75"]
+
+
 def test_an_interrupt_that_python_ignores_amid_llvm_ends_the_compiling():
     @ctypes.CFUNCTYPE(None)
     def called():  # by LLVM, once a module is compiled: an interrupt had to wait until then

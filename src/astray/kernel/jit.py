@@ -18,6 +18,7 @@ from weakref import WeakKeyDictionary
 
 import numba
 import numpy as np
+from numba.core.caching import FunctionCache, NullCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.dispatcher import Dispatcher
@@ -75,7 +76,8 @@ def _parts(name: str, part: Any) -> Iterator[tuple[str, Any]]:
 def renewed(functions: Iterable[Any]) -> str:
     """Let users' kernels be compiled again if they, or kernels they call, keep other values by now.
 
-    Numba would take the code that it has, as if it had been made of the new values.
+    Numba would take the code that it has, also in its files, as if it had been made of the new
+    values.
 
     Returns:
         A digest of these values.
@@ -91,6 +93,10 @@ def renewed(functions: Iterable[Any]) -> str:
         if isinstance(compiled, Dispatcher) and _is_of_user(function)
     }
     changed = [one for one, values in kept.items() if _values.setdefault(one, values) != values]
+    for one in kept:
+        if type(one._cache) is FunctionCache:  # stale after an edit of what its file imports
+            one._cache = NullCache()
+            changed.append(one)
     for one in filter(lambda one: one._can_compile, changed):
         one._reset_overloads()
     for one in filter(lambda one: not one._can_compile, changed):  # those of declared types
