@@ -110,7 +110,7 @@ def check_indices(game: Game, variant: Variant) -> None:
 def check_batches(game: Game, variant: Variant) -> None:
     """Check that a batch equals its single environments, in every mode and observation."""
     for mode, options in product(AutoresetMode, observations(game)):
-        short = replace(variant, time_limit=SHORT)
+        short = _shortened(variant)
         batch = GameVectorEnv(game, short, 3, autoreset_mode=mode, **options)
         make = functools.partial(GameEnv, game, short, **options)
         single = SyncVectorEnv([make] * 3, autoreset_mode=mode)
@@ -175,7 +175,7 @@ def check_levels(game: Game, variant: Variant) -> None:
 
 def check_time_limit(game: Game, variant: Variant) -> None:
     """Check that an episode which is not terminated is truncated exactly at the time limit."""
-    env = GameVectorEnv(game, replace(variant, time_limit=SHORT), 8, autoreset_mode="SameStep")
+    env = GameVectorEnv(game, _shortened(variant), 8, autoreset_mode="SameStep")
     env.reset(seed=0)
     age = np.zeros(8, np.int64)
     for actions in _actions(env, LONG):
@@ -392,6 +392,12 @@ CHECKS: tuple[Callable[[Game, Variant], None], ...] = (
 def observations(game: Game) -> list[dict[str, Any]]:
     """Return the kinds of observations that a game has, as options of its environments."""
     return [{"observation": kind} for kind in ("image", *(["symbolic"] if game.symbols else []))]
+
+
+def _shortened(variant: Variant) -> Variant:
+    """Return the variant with short episodes, also in the levels that it shifts to."""
+    shifted = variant.shifted and replace(variant.shifted, time_limit=SHORT)
+    return replace(variant, time_limit=SHORT, shifted=shifted)
 
 
 def _actions(env: GameVectorEnv, steps: int) -> Iterator[np.ndarray]:

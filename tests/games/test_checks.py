@@ -27,6 +27,12 @@ from helpers import lava
 SMALL = GAME.variant("anywhere-small")
 
 
+def test_a_variant_with_levels_of_another_is_checked_as_any():
+    mixed = GAME.variant("corner-small").with_knobs({"shift_probability": 0.5})
+    other = replace(mixed.shifted, time_limit=7)
+    testing.check_time_limit(GAME, replace(mixed, shifted=other))
+
+
 def with_places(**others):
     """Maze, where some of what tells where its mouse is or could be is otherwise."""
     own = {name: getattr(GAME.places, name) for name in ("centre", "stand", "put")}
