@@ -168,6 +168,28 @@ def test_a_world_without_a_script_for_a_goal_is_refused():
         )
 
 
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"things": {"~": "lava", "#": "wall"}}, 'single characters, "#" the first'),
+        (
+            {"things": {"#": "wall", "G": "cheese", "H": "cheese"}},
+            "names .*'cheese' is there twice",
+        ),
+        ({"movers": {"G": "goal"}}, "characters of .*'G' is there twice"),
+        ({"hazards": ["lav"]}, "unknown thing or mover 'lav' of lake; there are: wall, "),
+        ({"stood": "z"}, "unknown thing to stand on 'z' of lake"),
+        ({"level_fields": {"depth": 3}}, "unknown field 'depth' of lake; there are: "),
+    ],
+)
+def test_kinds_that_would_be_confused_and_names_of_none_are_refused(wrong, said):
+    lava = grid.world_of(LAVA)
+    told = {name: getattr(LAVA, name) for name in ("variants", "goals", "shifts")}
+    told |= {"things": lava.things, "agents": lava.agents, "seek": lava.seek}
+    with pytest.raises(ValueError, match=said):
+        grid.world(lava.rules, "lake", "a lake", **(told | wrong))
+
+
 def test_a_world_has_as_many_kinds_as_the_cells_of_a_level_can_tell_apart():
     kinds = [(chr(ord("a") + k), f"thing-{k}") for k in range(14)]
     made = replace(

@@ -13,7 +13,9 @@ from astray.grid import abilities
 from astray.grid.abilities import OVER, World
 from astray.grid.looks import looks, sprites, symbols
 from astray.grid.rules import nearest
+from astray.level import AGENT, EMPTY
 from astray.places import Placement
+from astray.validation import one_of, shown
 
 __all__ = ["nearest", "world", "world_of"]
 _MADE: dict[Game, World] = {}
@@ -65,7 +67,8 @@ def world(
         rest: Further fields of a `Game`.
 
     Raises:
-        ValueError: If `seek` has other goals than those that are events, or there are 16 kinds.
+        ValueError: If `seek` has other goals than those that are events, there are 16 kinds, or
+            two alike, or a name is of none.
     """
     movers, side = movers or {}, module.STATE["cell"].shape[0]
     events = {goal: event for goal, event in goals.items() if isinstance(event, str)}
@@ -75,6 +78,20 @@ def world(
     kinds = [*things.values(), *movers.values()]
     if len(kinds) >= OVER:
         raise ValueError(f"{name} must have less than {OVER} things and movers; got {len(kinds)}")
+    chars = [AGENT, EMPTY, *things, *movers]
+    for what, given in {"names": kinds, "characters": chars}.items():  # a kind is known by either
+        if twice := [one for one in given if given.count(one) > 1]:
+            raise ValueError(
+                f"{what} of things and movers must differ; {twice[0]!r} is there twice"
+            )
+    if chars[2] != "#" or any(len(char) != 1 for char in chars):
+        raise ValueError(f'things must be single characters, "#" the first; got {shown(things)}')
+    for what in (*hazards, *solid):
+        one_of("thing or mover", what, kinds, of=name)
+    for what in stood:
+        one_of("thing to stand on", what, chars[2:], of=name)
+    for what in (*(level_fields or {}), *(bounds or {})):
+        one_of("field", what, module.STATE.names, of=name)
     made = World(
         module, side, things, movers, solid, hazards, stood, agents, events,
         seek, module.furnish, level_fields or {}, bounds or {},
