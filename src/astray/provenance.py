@@ -32,6 +32,7 @@ IMPORT = re.compile(
     re.MULTILINE,
 )
 _seen: dict[str, str] = {}  # module -> the digest of its source when it was first seen
+_loaded: dict[str, tuple[ModuleSpec | None, str]] = {}  # likewise, with what it was loaded by
 
 
 def digest(*things: object, data: object = None) -> str | None:
@@ -48,6 +49,21 @@ def digest(*things: object, data: object = None) -> str | None:
     if found is None:
         return None
     return hashlib.sha256(repr((data, sorted(found.items()))).encode()).hexdigest()[:16]
+
+
+def digest_loaded(*things: object) -> str | None:
+    """Return `digest` of the code as it was when this process first looked at it.
+
+    A module that was edited since then runs as it was, until it is loaded again.
+    """
+    if (found := sources(*things)) is None:
+        return None
+    for name in found.keys() & sys.modules.keys():
+        spec = getattr(sys.modules[name], "__spec__", None)
+        if name not in _loaded or _loaded[name][0] is not spec:
+            _loaded[name] = spec, found[name]
+        found[name] = _loaded[name][1]
+    return hashlib.sha256(repr((None, sorted(found.items()))).encode()).hexdigest()[:16]
 
 
 def sources(*things: object, known: Collection[str] = ()) -> dict[str, str] | None:

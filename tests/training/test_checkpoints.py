@@ -1,6 +1,7 @@
 """Checkpoints: killed, cut short, crowded, forged; nothing is lost, and nothing let in."""
 
 import ast
+import importlib
 import json
 import math
 import os
@@ -59,6 +60,25 @@ def test_a_run_whose_code_was_edited_meanwhile_is_told(run, caplog):
     path.write_text(json.dumps(told), "utf-8")
     train(SHORT, run, progress=False)
     assert caplog.messages == [checkpoint.EDITED % run]
+
+
+def test_a_run_notes_the_code_that_was_loaded_not_a_later_edit(tmp_path, monkeypatch, caplog):
+    source, text = tmp_path / "loaded_pay.py", "def pay(step):\n    return step.rewards * {}\n"
+    monkeypatch.syspath_prepend(tmp_path)
+    source.write_text(text.format(1))
+    pay, told = importlib.import_module("loaded_pay"), []
+    config = replace(SHORT, reward="loaded_pay:pay")
+    for number in (1, 2, 3):
+        with checkpoint.claim(run := tmp_path / f"{number}", config):
+            told.append(json.loads((run / "config.json").read_text())["versions"]["sources"])
+            (run / "metrics.jsonl").write_text('{"steps": 64}\n')  # else none had begun
+        source.write_text(text.format(number + 1))
+        if number == 2:
+            importlib.invalidate_caches()
+            importlib.reload(pay)
+    assert told[0] == told[1] != told[2]
+    with checkpoint.claim(tmp_path / "2", config):
+        assert caplog.messages == [checkpoint.EDITED % (tmp_path / "2")]
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
