@@ -320,6 +320,22 @@ def test_the_best_way_takes_a_key_before_a_chest(session):
 
 
 @pytest.mark.parametrize(
+    "game, variant, goal, takes",
+    [("pottery", "corner", "bin", "s"), ("monsters", "short", "apple", "a"),
+     ("follow", "expert", "partner", None)],
+)  # fmt: skip
+def test_the_best_way_takes_what_lies_where_the_agent_stands(session, game, variant, goal, takes):
+    """It stands still to pick up, and movers that move are not taken."""
+    told = ask(session, "route", game=game, variant=variant, level=2, goal=goal)
+    if not takes:
+        assert told["takes"] is None
+        return
+    ((x, y, what),) = told["takes"]
+    assert what == games.find(game).editing.LEGEND[takes]
+    assert told["cells"][told["steps"]] == [x + 0.5, y + 0.5]
+
+
+@pytest.mark.parametrize(
     "message, said",
     [
         ("{", "must be JSON"),

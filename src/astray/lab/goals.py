@@ -20,6 +20,7 @@ from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import play_all
 from astray.envs.vector import quickest
 from astray.game import Game, Outcome, Shift, Variant
+from astray.grid import world_of
 from astray.lab.agents import Shown, rounded
 from astray.lab.messages import LONGEST
 from astray.lab.worlds import Episode, World
@@ -27,6 +28,7 @@ from astray.level import Level
 from astray.record import NEVER
 
 NEITHER = "neither"  # of the goals
+PATIENCE = 40  # steps in one place; to jump, a runner may wait, and who picks up stands still
 OTHER = "another cell"
 PLACES = 400  # at most, that a thing is put to
 TELLING = 5  # steps to a goal; the posterior of shorter ways tells goals hardly apart
@@ -199,14 +201,15 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
     (s,) = episode.state
     before = _things(world, s)
     cells, takes, taken_at = [_centre(world, s).round(3).tolist()], None, None
-    patience = 40 if game.real_time else 2  # steps; to jump, a runner may stand and wait
     while s[event] == NEVER and (step := next(walk, None)):
         (s,) = step.after
         cells.append(_centre(world, s).round(3).tolist())
         gone = before - _things(world, s) or _at_end(world, s, goal, before)
+        if world_of(game):  # where other things change by themselves
+            gone = {one for one in gone if one[:2] == (s["x"], s["y"])}
         if gone and takes is None:
             takes, taken_at = sorted(gone), len(cells) - 1
-        if len(cells) > patience and all(cell == cells[-1] for cell in cells[-patience:]):
+        if len(cells) > PATIENCE and all(cell == cells[-1] for cell in cells[-PATIENCE:]):
             break  # the goal was reached, or cannot be
     if s[event] == NEVER and not s.ended:
         raise ValueError(f"there is no way to {goal!r} from here that the solver knows")
@@ -237,5 +240,5 @@ def _things(world: World, s: Any) -> set[tuple[int, int, int]]:
         return set()
     legend, objects = world.game.editing.LEGEND, world.game.editing.OBJECTS
     wanted = {legend[char] for name, char in objects.items() if not name.startswith("walker")}
-    grid = world.game.editing.grid(s)
+    grid = s["cell"] if world_of(world.game) else world.game.editing.grid(s)  # without movers
     return {(int(x), int(y), int(grid[y, x])) for y, x in np.argwhere(np.isin(grid, [*wanted]))}

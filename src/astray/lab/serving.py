@@ -69,7 +69,7 @@ def make_lab(
     variant = variant.with_knobs(own := about.get("knobs", {}).get(first["variant"], {}))
     if isinstance(first.get("level"), Path):
         first["level"] = read_level(first["level"], game, variant).to_json()
-    elif "level" in first and game.editing:
+    elif "level" in first:
         first["level"] = plain(first["level"])  # a page would tell what is wrong with it late
         read_world(Message(0, "level", game.name, first["variant"], own, first["level"]))
     shift = game.shifts.get(about.get("shift", ""))
