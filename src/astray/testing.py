@@ -27,7 +27,7 @@ from astray.envs.compiled import compiled_loop
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
 from astray.game import MUTATIONS, OWN, Game, Variant
-from astray.level import Level
+from astray.level import EMPTY, Level
 from astray.record import COMMON, NEVER, trusted
 from astray.validation import shown
 
@@ -250,6 +250,9 @@ def check_editing(game: Game, variant: Variant) -> None:
     """Check that a level survives being described, drawn and parsed again."""
     if not game.editing:
         return
+    its = game.editing
+    if lacks := {EMPTY, *its.OBJECTS.values(), *its.STOOD_ON} - its.LEGEND.keys():
+        raise AssertionError(f"the legend lacks {', '.join(sorted(lacks))}")
     for s in initial_states(game, variant, LEVELS):
         level = Level.of(game, variant, s)
         told = game.editing.describe(s)
@@ -281,7 +284,10 @@ def check_mutation(game: Game, variant: Variant) -> None:
 
 
 def check_solver(game: Game, variant: Variant) -> None:
-    """Check that experts obtain the solver's optimal return, and never more."""
+    """Check that experts obtain the solver's optimal return, and never more.
+
+    They end in cells that the agent can reach.
+    """
     if not game.solver:
         return
     rewarded = {shift.intended for shift in game.shifts.values()}
@@ -297,6 +303,10 @@ def check_solver(game: Game, variant: Variant) -> None:
         for step in steps(walk, game, variant, [level], until=until, longest=longest):
             (s,), (reward,) = step.after, step.rewards
             total, discounted = total + reward, discounted + reward * 0.9 ** (s.time - 1)
+        if game.places:
+            free, now = game.solver.reachable(begun), np.array([s], game.state)
+            ((x, y),) = np.floor(game.places.centre(now)).astype(int)
+            assert free.dtype == bool and free[y, x], f"level {level}: ({x}, {y}) is not reachable"
         stays = game.actions[walk.ways(game, trusted(np.array([s])))[0]] == "stay"
         assert s.ended or stays, f"level {level}, {goal}"
         if goal in rewarded:

@@ -253,6 +253,13 @@ def builds_another(*level):
     return s
 
 
+def nowhere():
+    """Maze, whose solver knows no cell to go to."""
+    own = {name: getattr(GAME.solver, name) for name in ("expert", "optimal_return")}
+    none = np.zeros((25, 25), bool)
+    return replace(GAME, solver=SimpleNamespace(**own, reachable=lambda s: none))
+
+
 def mutated(change):
     def mutate(*args):
         made = GAME.mutation.mutate(*args)
@@ -266,6 +273,8 @@ def mutated(change):
     ("check", "game", "said"),
     [
         (testing.check_editing, edited(build=builds_another), "lose .faces_right. of level 0"),
+        (testing.check_editing, edited(OBJECTS={"fly": "Z"}), "the legend lacks Z"),
+        (testing.check_solver, nowhere(), "is not reachable"),
         (testing.check_mutation, mutated(lambda made: made["level"].fill(3)), r"\[3 3 3 3 3\]"),
         (
             testing.check_mutation,
