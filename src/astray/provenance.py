@@ -122,8 +122,9 @@ def _carried(thing: Any) -> Iterable[Any]:
         named = [there[name] for name in sorted({*_names(thing.__code__)} & there.keys())]
         return [cells, thing.__defaults__, thing.__kwdefaults__] + [
             one
-            for one in named  # others may change with use, as a cache does
-            if isinstance(one, (*PLAIN, tuple, SimpleNamespace, Namespace))
+            for one in named  # others have sources
+            if isinstance(one, (tuple, SimpleNamespace, Namespace))
+            or _is_data(one)
             or getattr(one, "__globals__", None) is there
         ]
     if isinstance(thing, Mapping):
@@ -133,6 +134,15 @@ def _carried(thing: Any) -> Iterable[Any]:
     if isinstance(thing, functools.partial | MethodType | tuple | list) or "py_func" in own:
         return _parts(thing) or ()
     return own.items() if " at 0x" in (told := repr(thing)) else [told]
+
+
+def _is_data(thing: Any) -> bool:
+    """Return whether a thing is numbers and text alone, as what a module reads from a file."""
+    if isinstance(thing, dict):
+        return all(map(_is_data, (*thing, *thing.values())))
+    if isinstance(thing, list | tuple | set | frozenset):
+        return all(map(_is_data, thing))
+    return isinstance(thing, (*PLAIN, np.ndarray))
 
 
 def _names(code: CodeType) -> Iterator[str]:

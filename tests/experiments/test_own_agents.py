@@ -144,17 +144,21 @@ class Trains:
 def carrying(way, rate):
     """Return a function that trains, and carries a rate in that way."""
     code = (lambda seed, folder: train(seed, folder) or (lambda: RATE)).__code__  # noqa: F821  # pyrefly: ignore
+    read = {"rates": [rate, np.array([rate])]}  # as from a file
     return {
         "closure": lambda seed, folder: train(seed, folder) or rate,
         "default": lambda seed, folder, rate=rate: train(seed, folder),
         "global": FunctionType(code, {**globals(), "RATE": rate}),
+        "data": FunctionType(code, {**globals(), "RATE": read}),
         "attribute": Trains(rate),
         "method": Trains(rate).__call__,
         "partial": partial(lambda rate, *given: train(*given), SimpleNamespace(rate=rate)),
     }[way]
 
 
-@pytest.mark.parametrize("way", ["closure", "default", "global", "attribute", "method", "partial"])
+@pytest.mark.parametrize(
+    "way", ["closure", "default", "global", "data", "attribute", "method", "partial"]
+)
 def test_agents_and_tables_are_computed_anew_where_a_function_carries_another_value(way, tmp_path):
     folders, digests = [], []
     for rate in (0.5, 0.5, 0.25):  # as in a loop, or of a command line: the source is one
