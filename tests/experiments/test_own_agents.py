@@ -199,6 +199,7 @@ def test_code_that_is_edited_while_agents_are_trained_is_not_what_measured(tmp_p
         source.write_text(text.format(2.0))
 
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # which tells no edit within a second
     source.write_text(text.format(1.0))
     for told in (1.0, 2.0):
         monkeypatch.delitem(sys.modules, "measuring", raising=False)
