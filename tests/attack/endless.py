@@ -111,9 +111,9 @@ def _counts() -> dict[str, Callable[[Place], Any]]:
             ("export", "run", "--levels", "0:2000000000"),
             ("overlap", "maze", "corner-small", "corner-small", "--test-levels", "0:999999999"),
             (*tiny, "--num-envs", "1000000000"), (*tiny, "--num-steps", "1000000000"),
-            (*tiny, "--width", "10000000"), (*tiny, "--buffer", "2000000000", "--sampler", "plr"),
-            (*tiny, "--num-levels", "2147483647"), (*tiny, "--num-envs", "100000", "--num-steps",
-                                                "100000"),
+            (*tiny, "--width", "10000000"), (*tiny, "--num-levels", "2147483647"),
+            (*tiny, "--buffer", "2000000000", "--num-levels", "2000000000", "--sampler", "plr"),
+            (*tiny, "--num-envs", "100000", "--num-steps", "100000"),
             ("record", "maze-corner", "--pixels", "100000"),
             ("sweep", "maze", "corner-small", "--set", "seed=" + ",".join(map(str, range(20_000)))),
             ("sweep", "maze", "corner-small", "--set", "width=" + ",".join(
