@@ -320,7 +320,14 @@ class Averages(Own):
         return logits - logits.mean(0), value, state
 
 
-@pytest.mark.parametrize("network", [Onward, Keeps, Drags, Late, Averages])
+class Infects(Own):
+    """Forgets all episodes of a batch where one begins."""
+
+    def recall(self, observation, state, begins):
+        return super().recall(observation, state, begins | begins.any())
+
+
+@pytest.mark.parametrize("network", [Onward, Keeps, Drags, Late, Averages, Infects])
 def test_a_network_that_learns_from_other_memories_than_it_acts_by_is_refused(network):
     with pytest.raises(ValueError, match="must say the same step by step, in recall, and of"):
         next(loop.iterate(CONFIG, network=network))
