@@ -104,6 +104,14 @@ class Drifts(Given):
         return super().hidden(observation) * (1 + 1e-5 * self.calls)
 
 
+class Centres(Given):
+    """Says how it differs from the others of its batch: little at first, in a large one."""
+
+    def forward(self, observation):
+        logits, value = super().forward(observation)
+        return logits - logits.mean(0), value
+
+
 class Drops(Given):
     """Is another network in learning than in acting, by as much as is usual."""
 
@@ -115,7 +123,7 @@ class Drops(Given):
         return self.dropout(super().hidden(observation))
 
 
-@pytest.mark.parametrize("network", [Remembers, Drifts])
+@pytest.mark.parametrize("network", [Remembers, Drifts, Centres])
 def test_a_network_that_keeps_its_memory_itself_is_refused(network):
     with (
         pytest.warns(UserWarning, match="as it is written"),

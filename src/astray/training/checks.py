@@ -84,22 +84,26 @@ def check_modes(trainer: Trainer, seen: Tensor) -> None:
 def check_memoryless(network: nn.Module, samples: Samples, config: Config) -> None:
     """Raise ValueError if a network's outputs differ between acting and learning.
 
-    A network with hidden state of its own does, since learning reorders observations. Rounding
+    A network with hidden state of its own does, since learning reorders observations, and so does
+    one that compares those of a batch: one is also shown in a batch of itself alone. Rounding
     differences are allowed. A slow drift shows in two calls in a row, unless it is below `REPEATED`
     in each: that is not found.
     """
     some = samples.at(torch.arange(0, len(samples), config.minibatches, device=config.device))
     (logits, value), again = network(some.observation), network(some.observation)
+    alone = network(some.observation[:1].expand_as(some.observation).contiguous())
     log_probability = ppo.log_probabilities(logits).gather(-1, some.action[:, None]).squeeze(-1)
     acted, learned = (some.log_probability, some.value), (log_probability, value)
-    bounds = [*map(_rounding, acted), *(REPEATED * _size(said) for said in (logits, value))]
-    pairs = zip((*acted, logits, value), (*learned, *again), bounds, strict=True)
+    pairs = [(then, now, _rounding(then)) for then, now in zip(acted, learned, strict=True)]
+    for then, now, of_one in zip((logits, value), again, alone, strict=True):
+        pairs += [(then, now, REPEATED * _size(then)), (then[:1], of_one[:1], _rounding(then))]
     for then, now, most in pairs:
         if (apart := _size(now - then)) > most:
             raise ValueError(
                 f"a network must say the same of an observation whenever it is shown it; what "
                 f"{type(network).__name__} said of some in two calls differs by "
-                f"{float(apart / _size(then)):.2g} of its size, as with a memory of its own"
+                f"{float(apart / _size(then)):.2g} of its size, as with a memory of its own, "
+                "or where others of a batch count"
             )
 
 
