@@ -3,11 +3,14 @@
 import itertools
 
 import numpy as np
+import polars as pl
 import pytest
 from scipy.special import expit
 from scipy.stats import binom
 
 from astray.analysis.estimates import estimate_difference, estimate_mean
+from astray.experiments.outcomes import AGENTS, rate
+from astray.outcome import FAILED, INTENDED, MISGENERALIZED
 from helpers.thorough import thorough
 
 LEVELS, TIMES = 150, 400
@@ -77,6 +80,31 @@ def test_agents_of_two_kinds_are_missed_where_all_are_of_one(agents, told):
 def test_agents_that_differ_widely_are_covered_less_often(agents):
     """As docs/evaluation.md says; the rarest of them fail most."""
     assert abs(covered(agents, NEARLY_ALL, HUGE, 0.0, 0) - 0.87) < 0.04
+
+
+@pytest.mark.parametrize(
+    "agents, levels, middle, spread", [(1, 100, 3.5, SMALL), (8, 60, 4.5, LARGE)]
+)
+def test_the_difference_of_two_outcomes_is_covered_where_nearly_all_have_one(
+    agents, levels, middle, spread
+):
+    """In 86 and 89 of 100, it was: half of the rest has the other outcome, or a tenth."""
+    random, share = np.random.default_rng(agents), 0.5 if agents == 1 else 0.1
+    at, seed = np.divmod(np.arange(levels * agents), agents)
+    rows = pl.DataFrame({"level": at, "seed": seed}).with_columns(
+        test=pl.lit("test"), policy=pl.lit(AGENTS)
+    )
+    names, held = np.array([MISGENERALIZED, INTENDED, FAILED]), []
+    for _ in range(MANY):
+        chance = expit(middle + random.normal(0, spread, agents))
+        drawn = random.random((levels, agents))
+        which = 0 + (drawn > chance) + (drawn > chance + (1 - chance) * share)
+        found = rate(
+            rows.with_columns(outcome=names[which].ravel()), "test", MISGENERALIZED, minus=INTENDED
+        )
+        truth = chance[0] if agents == 1 else expected(middle, spread)
+        held.append(found.low <= truth - (1 - truth) * share <= found.high)
+    assert 0.92 <= np.mean(held) <= 0.99
 
 
 def test_rare_failures_are_covered_too():

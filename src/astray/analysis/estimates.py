@@ -351,10 +351,14 @@ def _satterthwaite(parts: Sequence[tuple[float, float]]) -> float:
     return whole**2 / squares if squares else float(min(known, default=1.0))
 
 
-def mean_of(rows: pl.DataFrame, value: str | pl.Expr) -> Estimate:
-    """Return the mean of a column or expression over all of `rows`; NaN without rows."""
+def mean_of(rows: pl.DataFrame, value: str | pl.Expr, *, rate: bool = False) -> Estimate:
+    """Return the mean of a column or expression over all of `rows`; NaN without rows.
+
+    Args:
+        rate: Whether it is a rate of numbers from 0 to 1; of booleans it always is.
+    """
     known = rows.with_columns(value=value).drop_nulls("value")
-    return Estimate.nothing() if known.is_empty() else estimate_rows(known, "value")
+    return Estimate.nothing() if known.is_empty() else estimate_rows(known, "value", rate=rate)
 
 
 def group_rates(
@@ -409,7 +413,9 @@ def group_means(
     return table.with_columns(pl.col("mean", "low", "high").fill_nan(None))
 
 
-def estimate_rows(rows: pl.DataFrame, value: str, per: str | None = None) -> Estimate:
+def estimate_rows(
+    rows: pl.DataFrame, value: str, per: str | None = None, *, rate: bool = False
+) -> Estimate:
     """Return the sum of `value` over that of `per` (1 if None), whichever levels each agent has.
 
     Raises:
@@ -426,5 +432,6 @@ def estimate_rows(rows: pl.DataFrame, value: str, per: str | None = None) -> Est
     totals, weights = np.zeros((2, *(int(code.max()) + 1 for code in cell)))
     np.add.at(totals, cell, rows[value].cast(pl.Float64).to_numpy())
     np.add.at(weights, cell, rows[per].to_numpy() if per else 1.0)
-    found = estimate_mean(totals, weights, rate=not per and rows[value].dtype == pl.Boolean)
+    rate |= not per and rows[value].dtype == pl.Boolean
+    found = estimate_mean(totals, weights, rate=rate)
     return replace(found, rows=len(rows))  # not of all agents in all levels

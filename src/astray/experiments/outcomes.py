@@ -67,8 +67,10 @@ def rate(
         return estimate_paired(matrix(part, came), matrix(its, other))
     if not minus:
         return mean_of(part, came)
-    found = mean_of(part, came.cast(pl.Int8) - other.cast(pl.Int8))
-    return replace(found, low=max(-1.0, found.low), high=min(1.0, found.high))
+    # From 0 to 1, as a rate: near either end, an interval of Student's t is too narrow.
+    found = mean_of(part, (1 + came.cast(pl.Int8) - other.cast(pl.Int8)) / 2, rate=True)
+    mean, low, high = (2 * one - 1 for one in (found.mean, found.low, found.high))
+    return replace(found, mean=mean, low=low, high=high)
 
 
 def _of_one(episodes: pl.DataFrame, test: str, policy: str = AGENTS) -> pl.DataFrame:
