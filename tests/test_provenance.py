@@ -93,6 +93,21 @@ def test_imports_within_functions_count_without_being_imported(tmp_path, monkeyp
     assert set(provenance.sources(one) or {}) == {"lazy_one", "pack.deep"}
 
 
+def test_a_package_of_an_imported_module_and_a_module_named_as_pythons_count(tmp_path, monkeypatch):
+    (tmp_path / "pack_of_one").mkdir()
+    for name, text in {
+        "pack_of_one/__init__": "GRAVITY = 1\n",
+        "pack_of_one/one": "",
+        "antigravity": "SPEED = 1\n",
+        "asks_both": "def one():\n    import antigravity, pack_of_one.one, json\n",
+    }.items():
+        (tmp_path / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    one = importlib.import_module("asks_both").one
+    found = set(provenance.sources(one) or {})
+    assert found == {"asks_both", "antigravity", "pack_of_one", "pack_of_one.one"}
+
+
 def test_a_package_that_is_installed_is_followed_and_what_it_imports_is_read(tmp_path, monkeypatch):
     there = tmp_path / "site-packages"
     for package, text in {

@@ -14,6 +14,7 @@ from argparse import Namespace
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from importlib.machinery import ModuleSpec
+from itertools import accumulate
 from pathlib import Path, PurePath
 from types import CodeType, FunctionType, MethodType, ModuleType, SimpleNamespace
 from typing import Any
@@ -24,6 +25,7 @@ Root = ModuleType | FunctionType | type
 ITSELF = "astray"  # of whose own imports only its own modules are followed
 INSTALLED = {"site-packages", "dist-packages"}  # names of folders
 PLAIN = (bool, int, float, complex, str, bytes, type(None), PurePath, np.generic)  # of values
+PYTHONS = Path(contextlib.__file__).parent  # the folder of Python's own modules
 LIBRARIES = {"gymnasium", "numba", "numpy", "torch"}  # whose objects games and agents consist of
 # A parser takes 100 ms for what a game imports, this 7; with names as a list in parentheses or not.
 IMPORT = re.compile(
@@ -81,7 +83,7 @@ def sources(*things: object, known: Collection[str] = ()) -> dict[str, str] | No
     while todo:
         name, spec = todo.pop()
         package = name.partition(".")[0]
-        if name in found or package in sys.stdlib_module_names:
+        if name in found or (package in sys.stdlib_module_names and _is_pythons(spec)):
             continue
         source = read_source(spec)
         if source is None:
@@ -175,6 +177,11 @@ def read_source(spec: ModuleSpec | None) -> bytes | None:
         return None
 
 
+def _is_pythons(spec: ModuleSpec | None) -> bool:
+    """Return whether a module with a name of Python's is Python's: `profile.py` may be a user's."""
+    return not (spec and spec.has_location and spec.origin) or PYTHONS in Path(spec.origin).parents
+
+
 def _roots(thing: Any, passed: dict[int, Any]) -> Iterator[Root]:
     """Find the functions, classes and modules in a thing, except in those that were `passed`."""
     if id(thing) in passed:
@@ -238,6 +245,9 @@ def _imported(source: bytes, name: str, spec: ModuleSpec) -> Iterator[tuple[str,
             if found := _place(one):
                 yield one, found
                 break
+        if not attribute:  # `import a.b` binds a, with all its names
+            above = accumulate(module.split(".")[:-1], "{}.{}".format)
+            yield from ((one, found) for one in above if (found := _place(one)))
 
 
 @functools.lru_cache(1024)
