@@ -390,6 +390,14 @@ def test_a_module_that_fails_is_named_whatever_it_raises(tmp_path, monkeypatch, 
         catalogue.find(str(tmp_path / "failing.py"))
 
 
+def test_a_module_whose_error_exits_when_it_is_read_is_named(tmp_path, monkeypatch):
+    error = "class Odd(ImportError):\n    def __str__(self):\n        raise SystemExit(0)\n"
+    (tmp_path / "unreadable.py").write_text(f"{error}\n\nraise Odd\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ValueError, match=r"^the module 'unreadable' fails: "):
+        imports.find("unreadable:GAME")
+
+
 def test_users_code_of_two_threads_at_once_leaves_the_streams_as_they_were(monkeypatch):
     monkeypatch.setattr(sys, "__stdout__", sys.stdout)  # as outside of tests
     own = sys.stdout, sys.stderr

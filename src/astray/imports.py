@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from astray.validation import shown
+from astray.validation import brief, shown
 
 LOG = logging.getLogger("astray")
 LONG = 10.0  # seconds of an import before it is announced
@@ -156,7 +156,9 @@ def find(name: str, called: bool = False) -> Any:
         with announced(LONG, told), guarded(f"the module {module!r}", ImportError, AttributeError):
             found = attrgetter(attribute)(importlib.import_module(module))
     except (ImportError, AttributeError) as error:
-        raise ValueError(f"{name!r} cannot be imported: {error}") from error
+        with guarded(f"the module {module!r}"):  # an error of its own may exit when it is read
+            told = brief(error)
+        raise ValueError(f"{name!r} cannot be imported: {told}") from error
     if called and not callable(found):
         raise ValueError(f"{name!r} must be a function or a class, not a {type(found).__name__}")
     return found
