@@ -171,6 +171,11 @@ def test_a_bad_file_of_states_is_explained(game, tmp_path):
         np.savez(path, **kept)
         with pytest.raises(ValueError, match=message):
             load_states(path, game)
+    np.savez(path, game=game, format=1)
+    with zipfile.ZipFile(path, "a") as file:
+        file.writestr("states.npy", b"no array")
+    with pytest.raises(ValueError, match="with other fields"):
+        load_states(path, game)
     whole = good.read_bytes()
     for size in (*range(0, len(whole), 97), len(whole) - 1):
         path.write_bytes(whole[:size])

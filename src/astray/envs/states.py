@@ -54,7 +54,8 @@ def load_states(path: Path, game: str | Game) -> np.ndarray:
     game = games.find(game)
     try:
         with arrays_of(path) as file:
-            kept: dict[str, Any] = {name: file[name] for name in ("game", "format", "states")}
+            names = ("game", "format", "states")  # what is no array is read as bytes
+            kept: dict[str, Any] = {name: np.asarray(file[name]) for name in names}
     except FileNotFoundError:
         raise FileNotFoundError(f"there are no states at {path}") from None
     except BROKEN as error:
