@@ -88,7 +88,7 @@ def test_agents_that_differ_widely_are_covered_less_often(agents):
 def test_the_difference_of_two_outcomes_is_covered_where_nearly_all_have_one(
     agents, levels, middle, spread
 ):
-    """In 86 and 89 of 100, it was: half of the rest has the other outcome, or a tenth."""
+    """Half of the other episodes have the other outcome, or a tenth; Student's t held 86 and 89."""
     random, share = np.random.default_rng(agents), 0.5 if agents == 1 else 0.1
     at, seed = np.divmod(np.arange(levels * agents), agents)
     rows = pl.DataFrame({"level": at, "seed": seed}).with_columns(

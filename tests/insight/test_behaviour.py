@@ -163,7 +163,7 @@ def test_intervals_of_areas_hold_the_truth_as_often_as_they_say(area, true, fals
 
 
 def test_intervals_of_coefficients_hold_weak_effects_of_few_levels():
-    """Where the penalty was that of the best prediction, 40 of 100 did, and most had no width."""
+    """With the penalty of the best prediction 40 of 100 did, and most had no width."""
     random, hits, times, effect = np.random.default_rng(0), 0, 20, 0.3
     for _ in range(times):
         x = random.normal(size=60)
