@@ -151,7 +151,7 @@ def predict(
 
     every, all_rows = np.arange(len(features)), np.arange(len(y))
     whole = coefficients(all_rows, every)
-    # A strong penalty holds all near 0, often without width, where the truth of few levels is not.
+    # A strong penalty keeps weak effects near 0 in every sample, so that intervals are too narrow.
     drawn = [coefficients(_resample(y, random), every, PENALTIES[-1]) for _ in range(RESAMPLES)]
     low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
     low, high = np.minimum(low, whole), np.maximum(high, whole)
