@@ -1,6 +1,8 @@
 """Digests of the code and data that a result is computed from.
 
-The code is found by following imports from the given functions, also imports within functions.
+The code is found by following imports from the given functions, also imports within functions. It
+is that which runs: a module that is edited runs as it was, until it is loaded again, so each counts
+as it was when it was first looked at since it was loaded.
 """
 
 import codecs
@@ -33,8 +35,7 @@ IMPORT = re.compile(
     rb"import(?![\w\x80-\xff])[ \t]*(\((?:[^()#]|#[^\n]*)*\)|[^\n;(]+)|import[ \t]+([^\n;]+))",
     re.MULTILINE,
 )
-_seen: dict[str, str] = {}  # module -> the digest of its source when it was first seen
-_loaded: dict[str, tuple[ModuleSpec | None, str]] = {}  # likewise, with what it was loaded by
+_loaded: dict[str, tuple[object, bytes]] = {}  # module -> what loaded it, and its source
 
 
 def digest(*things: object, data: object = None) -> str | None:
@@ -53,21 +54,6 @@ def digest(*things: object, data: object = None) -> str | None:
     return hashlib.sha256(repr((data, sorted(found.items()))).encode()).hexdigest()[:16]
 
 
-def digest_loaded(*things: object) -> str | None:
-    """Return `digest` of the code as it was when this process first looked at it.
-
-    A module that was edited since then runs as it was, until it is loaded again.
-    """
-    if (found := sources(*things)) is None:
-        return None
-    for name in found.keys() & sys.modules.keys():
-        spec = getattr(sys.modules[name], "__spec__", None)
-        if name not in _loaded or _loaded[name][0] is not spec:
-            _loaded[name] = spec, found[name]
-        found[name] = _loaded[name][1]
-    return hashlib.sha256(repr((None, sorted(found.items()))).encode()).hexdigest()[:16]
-
-
 def sources(*things: object, known: Collection[str] = ()) -> dict[str, str] | None:
     """Return the digest of each module that `things` come from or import.
 
@@ -79,19 +65,21 @@ def sources(*things: object, known: Collection[str] = ()) -> dict[str, str] | No
         Module -> digest of its source, or None if a source cannot be read.
     """
     found, todo = dict.fromkeys(known, ""), [_module(root) for root in _roots(things, {})]
-    packages = {name.partition(".")[0] for name, _ in todo} - LIBRARIES
+    packages = {name.partition(".")[0] for name, *_ in todo} - LIBRARIES
     while todo:
-        name, spec = todo.pop()
+        name, spec, loaded = todo.pop()
         package = name.partition(".")[0]
         if name in found or (package in sys.stdlib_module_names and _is_pythons(spec)):
             continue
-        source = read_source(spec)
-        if source is None:
-            return None
+        if name not in _loaded or _loaded[name][0] is not loaded:
+            if (source := read_source(spec)) is None:
+                return None
+            _loaded[name] = loaded, source
+        source = _loaded[name][1]
         found[name] = hashlib.sha256(source).hexdigest()
         # Installed libraries are read but not followed: there is no end to what they import.
         if spec and (package in packages or not INSTALLED & {*Path(spec.origin or "").parts}):
-            todo += _imported(source, name, spec)
+            todo += [(one, its, its) for one, its in _imported(source, name, spec)]
     return {name: found[name] for name in found.keys() - set(known)}
 
 
@@ -156,15 +144,9 @@ def _names(code: CodeType) -> Iterator[str]:
 
 
 def see(function: FunctionType) -> None:
-    """Remember the sources of `function` at the time when its module is imported."""
-    if function.__module__ not in _seen:
-        _seen.update(sources(function, known=_seen.keys()) or {})
-
-
-def edited(*things: object) -> bool:
-    """Return whether a source of `things` has changed since it was imported."""
-    found = sources(*things)
-    return found is None or any(_seen.get(name, now) != now for name, now in found.items())
+    """Look at the sources of `function` while its module is imported."""
+    if function.__module__ not in _loaded:
+        sources(function, known=[*_loaded])
 
 
 def read_source(spec: ModuleSpec | None) -> bytes | None:
@@ -215,8 +197,8 @@ def _parts(thing: Any) -> Iterable[Any] | None:
     return [kind, *(x for n, x in own.items() if not isinstance(getattr(kind, n, None), asked))]
 
 
-def _module(root: Root) -> tuple[str, ModuleSpec | None]:
-    """Return the name and spec of a module, or of the module that defines `root`."""
+def _module(root: Root) -> tuple[str, ModuleSpec | None, object]:
+    """Return name, spec, and what loaded it, of a module or of that which defines `root`."""
     there: Mapping[str, Any]
     if isinstance(root, FunctionType):
         there = root.__globals__  # of a file that was run, too, which no name leads to
@@ -224,9 +206,10 @@ def _module(root: Root) -> tuple[str, ModuleSpec | None]:
         name = root.__name__ if isinstance(root, ModuleType) else root.__module__
         there = vars(sys.modules[name]) if name in sys.modules else {"__name__": name}
     name, spec, path = there["__name__"], there.get("__spec__"), there.get("__file__")
+    loaded = spec or there  # a script is run with other names each time
     if spec is None and path:
         spec = importlib.util.spec_from_file_location(name, path)
-    return name, spec
+    return name, spec, loaded
 
 
 def _imported(source: bytes, name: str, spec: ModuleSpec) -> Iterator[tuple[str, ModuleSpec]]:

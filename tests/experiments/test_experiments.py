@@ -32,7 +32,7 @@ from astray.report.claims import Claim, above
 from astray.training import checkpoint
 from astray.training.config import Config
 from helpers import registered
-from helpers.edits import edit
+from helpers.edits import edit, forget
 from helpers.miniature import miniature, train_here
 from helpers.processes import begin
 from helpers.thorough import thorough
@@ -251,6 +251,8 @@ def test_an_edit_of_a_game_of_ones_own_is_another_plan(tmp_path, monkeypatch):
     before = run.code_of(plan)
     assert before == run.code_of(plan)
     source.write_text("def step(s, action):\n    return 1.0, False\n")
+    assert run.code_of(plan) == before  # it runs as it was
+    forget(monkeypatch)
     assert run.code_of(plan) != before
     monkeypatch.delitem(rules.step.__globals__, "__file__")
     monkeypatch.delitem(rules.step.__globals__, "__spec__")

@@ -25,6 +25,7 @@ from astray.experiments.run import inputs, make_own, own_runs, reproduce, resolv
 from astray.experiments.spec import Experiment, OwnAgents, Plan
 from astray.files import hold
 from astray.training.config import Config
+from helpers.edits import forget
 from helpers.lava import GAME as LAVA
 from helpers.rooms import CELLS, WORLD, Room
 
@@ -221,6 +222,7 @@ def test_agents_that_astray_trains_have_a_folder_for_each_state_of_your_code(tmp
     own = f"net{tmp_path.name.replace('-', '_')}:Net"
     names = []
     for light, doc in (("1", "a"), ("0.5", "a"), ("0.5", "b")):
+        forget(monkeypatch)
         (tmp_path / "light").write_text(light)
         (tmp_path / f"{own.partition(':')[0]}.py").write_text(f"class Net:\n    'Is {doc}.'\n")
         each = [Config(world, "end"), Config("maze", "corner", network=own), Config("maze")]

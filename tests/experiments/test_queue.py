@@ -11,6 +11,7 @@ from astray.experiments.workers import expected
 from astray.report import page as report
 from astray.training import checkpoint
 from astray.training.loop import train
+from helpers.edits import forget
 from helpers.trainings import TINY
 
 
@@ -53,21 +54,30 @@ def test_a_queue_with_a_mistake_in_it_does_not_begin(names, message, done):
     assert not done
 
 
-def test_a_study_whose_code_is_edited_while_it_waits_is_not_begun(tmp_path, monkeypatch):
-    mine, own = tmp_path / "mine.py", "from astray.experiments.studies.maze.maze_corner import *\n"
-    mine.write_text(f"{own}from dataclasses import replace\ndef find(work): 1\n"
-                    "EXPERIMENT = replace(EXPERIMENT, find=find)\n")  # fmt: skip
-    begun = []
+def test_a_study_whose_code_is_edited_while_it_waits_has_the_tables_of_what_was_loaded(
+    tmp_path, monkeypatch
+):
+    source = tmp_path / "waits_here.py"
+    source.write_text(
+        "from astray.experiments.studies.maze.maze_corner import EXPERIMENT as OTHER\n"
+        "from dataclasses import replace\ndef find(work): 1\n"
+        "EXPERIMENT = replace(OTHER, find=find)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    digests = []
 
-    def reproduce(name, *_, **__):
-        begun.append(name)
-        mine.write_text(mine.read_text() + "\n")
+    def reproduce(name, size, *_):
+        whole = catalogue.find("waits_here:EXPERIMENT")[1]
+        digests.append(run.code_of(whole.sizes[size], whole))
+        source.write_text(source.read_text() + "\n")
 
     monkeypatch.setattr(run, "reproduce", reproduce)
     monkeypatch.setattr(report, "write_index", lambda root: root)
-    with pytest.raises(RuntimeError, match=r"mine\.py: its code was edited after the command"):
-        run.reproduce_each(["maze-corner", str(mine)], "smoke", Path())
-    assert begun == ["maze-corner"]
+    run.reproduce_each(["maze-corner", "waits_here:EXPERIMENT"], "smoke", Path())
+    assert None not in digests and len(digests) == 2 and len({*digests}) == 1
+    forget(monkeypatch)
+    reproduce("waits_here", "smoke")
+    assert len({*digests}) == 2
 
 
 def test_agents_are_not_trained_by_code_that_was_edited_since_the_command_began(
@@ -85,6 +95,7 @@ def test_agents_are_not_trained_by_code_that_was_edited_since_the_command_began(
     )
 
     def train_all(todo, workers, on, track, known):
+        forget(monkeypatch)  # as in the process of a training
         for folder, one in todo.items():
             spec.check_unedited(one, known)
             trained.append(train(one, folder, progress=False))

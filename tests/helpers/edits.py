@@ -1,6 +1,11 @@
-"""Sources as they would be after an edit, which nobody imports."""
+"""Sources as a process that begins after an edit would find them."""
 
 from astray import provenance
+
+
+def forget(monkeypatch):
+    """Let sources be read anew, as in a process that begins now."""
+    monkeypatch.setattr(provenance, "_loaded", {})
 
 
 def edit(monkeypatch, *modules):
@@ -11,3 +16,4 @@ def edit(monkeypatch, *modules):
         return (real(spec) or b"") + b"# edited" * (spec is not None and spec.name in modules)
 
     monkeypatch.setattr(provenance, "read_source", read)
+    forget(monkeypatch)

@@ -242,19 +242,22 @@ def test_games_compile_at_once_and_one_game_once(monkeypatch):
 
 
 @COMPILED
-def test_code_of_sources_that_were_edited_since_they_were_imported_is_not_kept(
+def test_code_of_sources_that_were_edited_since_they_were_imported_is_kept_as_theirs(
     code, tmp_path, monkeypatch
 ):
     constants, module = tmp_path / "constants_here.py", tmp_path / "kernels_here.py"
     constants.write_text("ONE = 1\n")
     module.write_text("import constants_here\n\n\ndef one():\n    return constants_here.ONE\n")
     monkeypatch.syspath_prepend(tmp_path)
-    one = importlib.import_module("kernels_here").one
-    before = jit.entry(one)
-    constants.write_text("ONE = 2\n")
-    with pytest.warns(UserWarning, match="compiled code of one is not kept: a source of it was"):
-        assert before() == 1
-    assert not list(code.rglob("*.nbc"))
+    found = importlib.import_module("kernels_here")
+    before = jit.entry(found.one)
+    constants.write_text("ONE = 2  # later\n")
+    assert before() == jit.entry(found.one)() == 1
+    assert len(list(code.rglob("*.nbc"))) == 1
+    importlib.invalidate_caches()
+    importlib.reload(importlib.import_module("constants_here"))
+    assert jit.entry(found.one)() == 2
+    assert len(list(code.rglob("*.nbc"))) == 2
 
 
 def test_other_settings_of_numba_have_another_folder(monkeypatch):

@@ -110,13 +110,10 @@ def reproduce(
     )
     # Results of agents of others stand beside those of agents trained here.
     beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
-    code = None  # as imported: it may be edited while agents are trained
-    with contextlib.suppress(ValueError):  # the training says what cannot be imported
-        code = code_of(plan, whole)
     with hold(folder, "works on"), threads_for(size):
         runs = train_agents(plan, root, workers, on, track)
         check_writable(folder / PLAN)  # before the agents are played
-        text, digest = inputs(plan, runs, whole, code)
+        text, digest = inputs(plan, runs, whole)
         work = Work(name, size, plan, folder, digest, runs, pl.DataFrame())
         if plan.tests:
             work = replace(work, episodes=work.keep("episodes", lambda: play(plan, runs)))
@@ -135,6 +132,8 @@ def sized(experiment: str | Experiment, size: Size) -> tuple[str, Experiment]:
     """Return `catalogue.find`'s name and experiment; raise ValueError if the size is missing."""
     name, whole = catalogue.find(experiment)
     one_of("size", size, whole.sizes, of=name)
+    with contextlib.suppress(ValueError):  # the training says what cannot be imported
+        code_of(whole.sizes[size], whole)  # while its files are still what was imported
     return name, whole
 
 
@@ -274,9 +273,7 @@ def reproduce_each(names: Sequence[str], size: Size, root: Path, **how: Any) -> 
     for name in names:
         there = catalogue.NAMES if name == ALL else ()
         chosen += [n for n in there if size in catalogue.load(n).sizes] or [name]
-    found = [sized(name, size)[1] for name in chosen]
-    plans, undrawn = [whole.sizes[size] for whole in found], []
-    codes = [code_of(*both) for both in zip(plans, found, strict=True)]
+    plans, undrawn = [sized(name, size)[1].sizes[size] for name in chosen], []
     for plan in plans:
         try:
             plan.drawn_with(how.get("art", OWN))
@@ -285,10 +282,8 @@ def reproduce_each(names: Sequence[str], size: Size, root: Path, **how: Any) -> 
     if len(undrawn) == len(plans):
         raise undrawn[0]
     failed: dict[str, Exception] = {}
-    for name, plan, whole, code in zip(chosen, plans, found, codes, strict=True):
+    for name in chosen:
         try:
-            if name not in catalogue.NAMES and code_of(plan, whole) != code:
-                raise ValueError("its code was edited after the command began; repeat the command")
             reproduce(name, size, root, **how)
         except Exception as error:
             failed[name] = error
@@ -323,7 +318,7 @@ def studied(whole: Experiment | None) -> tuple[object, ...]:
 
 
 def code_of(plan: Plan, whole: Experiment | None = None) -> str | None:
-    """Return a digest of the sources, as they are now, that a plan's tables are computed by.
+    """Return a digest of the sources that a plan's tables are computed by.
 
     It is None if a source cannot be read, as in a notebook.
     """
@@ -331,9 +326,7 @@ def code_of(plan: Plan, whole: Experiment | None = None) -> str | None:
     return provenance.digest(*its, [config.code() for config in plan.agents.values()])
 
 
-def inputs(
-    plan: Plan, runs: Runs, whole: Experiment | None = None, code: str | None = None
-) -> tuple[bytes, str]:
+def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[bytes, str]:
     """Return JSON of everything that a plan's tables are computed from, and its digest.
 
     Tables have it in their names, so none is reused for other inputs. ValueError is raised if two
@@ -341,7 +334,6 @@ def inputs(
 
     Args:
         whole: Experiment that computes further tables than the episodes.
-        code: Result of `code_of` when the code was imported; None for now.
     """
     agents = {n: [agent_digest(run, n in plan.own) for run in made] for n, made in runs.items()}
     for name, made in agents.items():
@@ -361,7 +353,7 @@ def inputs(
         "values": [*provenance.values([*studied(whole)[:1], plan.measures, plan.rewards, *played])],
         "pretrained": [agent_digest(folders.find(name)) for name in folders.pretrained()],
         "resolved": resolved(plan),
-        "sources": code or code_of(plan, whole) or uuid.uuid4().hex,
+        "sources": code_of(plan, whole) or uuid.uuid4().hex,
     }
     text = json.dumps(data, indent=1).encode()
     return text, hashlib.sha256(text).hexdigest()[:16]

@@ -9,7 +9,6 @@ import inspect
 import re
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, ModuleType
@@ -280,25 +279,12 @@ def entry(function: Any) -> Any:
 
     They are compiled one at a time, but for those of one game, whose batch loop has its own lock.
     """
-    provenance.see(function)
     compiled: Any = numba.njit(nogil=True)(function)
     # What closes over a function numba's files tell apart by its address.
     digest = None if function.__closure__ else code_digest(function)
 
-    @functools.cache
-    def folder() -> str:
-        parts = [part for _, part in _parts("", function)]
-        if not provenance.edited(*parts):
-            return code_folder()
-        warnings.warn(
-            f"compiled code of {function.__name__} is not kept: a source of it was edited after "
-            "it was imported",
-            stacklevel=2,
-        )
-        return ""
-
     if compiled is not function and digest and Path(function.__code__.co_filename).is_file():
-        compiled._cache = Stored(function, digest, folder)
+        compiled._cache = Stored(function, digest, code_folder)
         if not hasattr(function, "bound"):
             compiled._compile_for_args = one_at_a_time()(compiled._compile_for_args)
     return compiled

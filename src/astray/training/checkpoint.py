@@ -71,7 +71,7 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
                 "python": platform.python_version(), "torch": torch.__version__,
                 "numpy": np.__version__, "numba": numba.__version__,
                 "gymnasium": gymnasium.__version__,
-                "sources": provenance.digest_loaded(Trainer, config.code()),
+                "sources": provenance.digest(Trainer, config.code()),
             }  # fmt: skip
             if path.exists():
                 check(folder, config)

@@ -46,7 +46,7 @@ def run_sweep(
         plans = sweep.plans()
         agents = {name: config for plan in plans.values() for name, config in plan.agents.items()}
         joined = replace(next(iter(plans.values())), agents=agents, tests={}, first_level=None)
-        code = code_of(joined)  # before it may be edited
+        code_of(joined)  # while its files are still what was imported
         for plan in plans.values():
             try_tests(plan)
         runs = train_agents(joined, folder, workers, on, track)
@@ -54,7 +54,7 @@ def run_sweep(
         axes = {name: list(values) for name, values in sweep.axes.items()}
         settings = vars(sweep) | {"base": sweep.base.to_json(), "axes": axes}
         write_aside(folder / SWEPT, json.dumps(settings, indent=1).encode())
-        parts = [_episodes(sweep, folder, cell, plan, runs, code) for cell, plan in plans.items()]
+        parts = [_episodes(sweep, folder, cell, plan, runs) for cell, plan in plans.items()]
         episodes = pl.concat(parts, how="diagonal_relaxed")
         write_table(episodes, folder / OUTCOMES)
         by = (*sweep.columns(), "policy", "test")
@@ -63,12 +63,10 @@ def run_sweep(
         return report.write(heading(sweep, folder), findings(sweep, episodes, table), folder)
 
 
-def _episodes(
-    sweep: Sweep, folder: Path, cell: Cell, plan: Plan, runs: Runs, code: str | None
-) -> pl.DataFrame:
+def _episodes(sweep: Sweep, folder: Path, cell: Cell, plan: Plan, runs: Runs) -> pl.DataFrame:
     """Return the episodes of a combination's agents and of scripts, in training and test."""
     mine = {name: runs[name] for name in plan.agents}
-    _, digest = inputs(plan, mine, code=code)
+    _, digest = inputs(plan, mine)
     table = cached(folder, digest, lambda: play(plan, mine)).drop("agent")
     axes = zip(sweep.columns(), cell, sweep.axes.values(), strict=True)
     return table.with_columns(  # None is a value as others are, and no gap
