@@ -37,8 +37,10 @@ def state_dtype(*own: tuple, events: Sequence[str] = ()) -> np.dtype:
 
 def record_dtype(columns: list[tuple]) -> np.dtype:
     """Return an aligned record dtype without gaps; raise ValueError for a name that is reserved."""
-    if taken := [name for name, *_ in columns if not name or hasattr(np.record, name)]:
-        raise ValueError(f"fields, events and measures need other names than {taken}")
+    names = [name for name, *_ in columns]
+    taken = [n for n in names if not n or names.count(n) > 1 or hasattr(np.record, n)]
+    if taken:
+        raise ValueError(f"fields, events and measures need other names than {sorted({*taken})}")
     columns = sorted(columns, key=lambda column: -np.dtype(column[1]).alignment)
     gap = -np.dtype(columns).itemsize % 8  # copies do not preserve its bytes
     if gap:

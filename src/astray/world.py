@@ -231,6 +231,7 @@ class World:
         for goal in self.experts:
             one_of("goal of an expert", goal, self.goals)
         check_goals(self)
+        np.zeros(0, self.state)  # raises what a record of an episode cannot be
 
     def __getattr__(self, name: str) -> Any:
         if name in NOT_OURS:

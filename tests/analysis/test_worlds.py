@@ -423,19 +423,25 @@ def rate_of_nothing(env):
     return np.float64(np.nan) if env.steps < 3 else 0.5
 
 
-@pytest.mark.parametrize("part, name", [
-    ("events", "return"), ("measures", "return"), ("measures", "seed"), ("events", "test"),
+@pytest.mark.parametrize("part, name, told", [
+    ("events", "return", "room have the names of columns: return$"),
+    ("measures", "return", "room have the names of columns: return$"),
+    ("measures", "seed", "room have the names of columns: seed$"),
+    ("events", "test", "room have the names of columns: test$"),
+    ("measures", "mean", r"need other names than \['mean'\]"),
+    ("measures", "time", r"need other names than \['time'\]"),
+    ("events", "", r"need other names than \[''\]"),
 ])  # fmt: skip
-def test_names_of_columns_are_refused_where_a_world_is_made(part, name):
-    with pytest.raises(ValueError, match=f"room have the names of columns: {name}$"):
+def test_names_that_a_table_or_a_record_cannot_have_are_refused_where_a_world_is_made(
+    part, name, told
+):
+    with pytest.raises(ValueError, match=told):
         replace(WORLD, **{part: {**vars(WORLD)[part], name: "square"}})
 
 
 @pytest.mark.parametrize(
     "changes, said",
     [
-        ({"measures": {"mean": rate_of_nothing}}, r"need other names than \['mean'\]"),
-        ({"events": {**WORLD.events, "": "square"}}, r"need other names than \[''\]"),
         ({"events": {**WORLD.events, 1: "square"}}, "each name of events must be a str; got 1"),
         ({"shifts": {"end": ("end", "anywhere", "square", ())}}, "a shift must be a Shift"),
         ({"ends": {"burnt": "gone"}}, "unknown event of a goal 'gone'"),
