@@ -89,6 +89,8 @@ def test_the_first_agent_is_one_that_sees_the_levels():
     )
     with pytest.raises(ValueError, match="unknown variant 'dishes' of maze"):
         make_lab(None, {"game": "maze", "variant": "dishes"})
+    with pytest.raises(ValueError, match="variant that maze-corner sees 'dish-small'; there"):
+        make_lab("maze-corner", {"variant": "dish-small"})
 
 
 def test_a_level_distinguishes_the_goals_as_walks_to_them_do(session, lab):

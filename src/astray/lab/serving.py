@@ -15,7 +15,7 @@ from astray.lab.worlds import read_world
 from astray.level_files import read_level
 from astray.training import folders
 from astray.training.folders import AgentFolder
-from astray.validation import of_kind, plain
+from astray.validation import of_kind, one_of, plain
 
 FIRST = "maze-corner"  # of the agents, where nobody says which
 
@@ -66,6 +66,8 @@ def make_lab(
     if about and about["game"] != game.name:
         raise ValueError(f"the agent {name!r} plays {about['game']}, not {game.name}")
     variant = game.variant(first.setdefault("variant", next(iter(game.variants))))
+    if about:
+        one_of(f"variant that {name} sees", first["variant"], about["variants"])
     variant = variant.with_knobs(own := about.get("knobs", {}).get(first["variant"], {}))
     if isinstance(first.get("level"), Path):
         first["level"] = read_level(first["level"], game, variant).to_json()
