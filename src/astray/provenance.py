@@ -143,10 +143,12 @@ def _names(code: CodeType) -> Iterator[str]:
             yield from _names(one)
 
 
-def see(function: FunctionType) -> None:
-    """Look at the sources of `function` while its module is imported."""
-    if function.__module__ not in _loaded:
-        sources(function, known=[*_loaded])
+def see(*things: object) -> None:
+    """Look at the sources of things while these are what was imported."""
+    still = {
+        n for n, (by, _) in _loaded.items() if by is getattr(sys.modules.get(n), "__spec__", None)
+    }
+    sources(*things, known=still)
 
 
 def read_source(spec: ModuleSpec | None) -> bytes | None:

@@ -1,12 +1,13 @@
 """Several experiments in a row, and how long they will take."""
 
+import importlib
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from astray.experiments import catalogue, run, spec, workers
-from astray.experiments.spec import Plan
+from astray.experiments import catalogue, outcomes, run, spec, workers
+from astray.experiments.spec import Experiment, Plan
 from astray.experiments.workers import expected
 from astray.report import page as report
 from astray.training import checkpoint
@@ -78,6 +79,21 @@ def test_a_study_whose_code_is_edited_while_it_waits_has_the_tables_of_what_was_
     forget(monkeypatch)
     reproduce("waits_here", "smoke")
     assert len({*digests}) == 2
+
+
+@pytest.mark.parametrize("part", ["measures", "rewards", "find"])
+def test_code_counts_as_it_was_when_a_plan_or_study_of_it_was_made(part, tmp_path, monkeypatch):
+    source, name = tmp_path / f"of_{part}.py", f"of_{part}"
+    source.write_text("def one(_): return 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    one = importlib.import_module(name).one
+    its = {} if part == "find" else {part: {"one": one}}
+    plan = Plan(agents={"mouse": TINY}, levels=1, differences="", **its)
+    whole = Experiment("", "", "", {"smoke": plan}, one if part == "find" else outcomes.findings)
+    source.write_text("def one(_): return 2  # later\n")
+    before = run.code_of(plan, whole)
+    forget(monkeypatch)
+    assert None is not before != run.code_of(plan, whole)
 
 
 def test_agents_are_not_trained_by_code_that_was_edited_since_the_command_began(

@@ -120,6 +120,7 @@ class Plan:
     speed: int = 0  # environment steps that a core trains with in a second, as measured; 0: unknown
 
     def __post_init__(self) -> None:
+        provenance.see(self.measures, self.rewards, self.world, self.own)
         kinds = {"agents": Config, "own": OwnAgents, "tests": Test, "visited": Test} | NAMING
         for part, kind in kinds.items():
             of_kind(part, given := getattr(self, part), Mapping)
@@ -435,6 +436,7 @@ class Experiment:
         if not parts or {*self.sizes} - {*SIZES} or not all(isinstance(x, Plan) for x in parts):
             raise ValueError(f"sizes must be plans for {', '.join(SIZES)}; got {shown(self.sizes)}")
         of_kind("find", self.find, Callable)
+        provenance.see(self.find)
 
     def check_installed(self) -> None:
         """Raise ImportError if a package for the findings is missing."""
