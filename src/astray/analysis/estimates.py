@@ -218,7 +218,7 @@ def detectable(
         agents: Number of trained agents of each kind.
         levels: Number of test levels of each.
         spread: Standard deviation of their true rates.
-        kinds: 1, or 2 for the difference of two kinds with pooled spread.
+        kinds: 1; with more, the result is for the difference of two whose `pool` has all kinds.
         rate: Rate near which they are.
 
     Raises:
@@ -228,12 +228,15 @@ def detectable(
         bounded(name, count, 1, MOST)
     finite("spread", spread, 0)
     finite("rate", rate, 0, 1)
-    from scipy.special import nctdtrinc  # takes a second to import
+    from scipy.special import betainc, nctdtrinc  # takes a second to import
 
     variance = spread**2 + rate * (1 - rate) / levels
     error = math.sqrt(variance * min(2, kinds) / agents)
-    freedom = kinds * (agents - 1) if agents > 1 else levels - 1
-    return float(nctdtrinc(freedom, 1 - POWER, quantile(freedom))) * error
+    freedom, wide = kinds * (agents - 1) if agents > 1 else levels - 1, 1.0
+    if agents > 1 < kinds:  # `_between_agents` takes a kind's own variance where that is larger
+        mine, other = (agents - 1) / 2, (kinds - 1) * (agents - 1) / 2  # of a beta distribution
+        wide += betainc(mine, other, 1 / kinds) - betainc(mine + 1, other, 1 / kinds)
+    return float(nctdtrinc(freedom, 1 - POWER, quantile(freedom) * wide**0.5)) * error
 
 
 def _numbers(name: str, given: Any) -> np.ndarray:
