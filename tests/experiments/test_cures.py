@@ -87,7 +87,7 @@ def test_late_is_after_the_goal_was_passed_or_never_in_episodes_that_go_astray()
 def test_a_claim_about_help_holds_by_its_bound():
     rows = [
         {"agent": "runner", "run": "r", "score": "entropy", "granularity": "step",
-         "threshold": t, "return": r, "gain": r - 5, "error": 0.05}
+         "threshold": t, "return": r, "gain": r - 5, "error": 0.05, "levels": 100}
         for t, r in ((np.inf, 5.0), (-np.inf, 10.0), (0.5, 4.9))
     ]  # fmt: skip
     areas = pl.DataFrame({"agent": ["runner"], "score": ["entropy"], "granularity": ["step"]})

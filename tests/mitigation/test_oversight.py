@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import polars as pl
 import pytest
-from scipy.stats import norm, sem
+from scipy.stats import sem, t
 
 from astray import games
 from astray.acting import Answer, Turn
@@ -72,10 +72,22 @@ def test_the_least_gain_of_many_has_a_bound_for_all():
             "threshold": [np.inf, -np.inf, 0.1, 0.2, 0.3],
             "gain": [0.0, 2.0, -0.1, 0.5, 0.0],
             "error": [0.0, 0.1, 0.2, 0.5, 0.1],
+            "levels": 9,
         }
     )
-    width = norm.isf(0.05 / 4)
+    width = t.isf(0.05 / 4, 8)
     assert least_gain(points) == pytest.approx((-0.1, 0.5 - 0.5 * width))
+
+
+def test_the_least_gain_in_few_levels_is_bounded_as_often_as_it_says():
+    """Help changes nothing on average: a gain was certain in 10 of 100, and where all were 0."""
+    told = []
+    for gains in np.random.default_rng(0).normal(0, 1, (1000, 4)):
+        point = {"threshold": 0.0, "gain": gains.mean(), "error": sem(gains), "levels": 4}
+        told.append(least_gain(pl.DataFrame([point]))[1] > 0)
+    assert 0.03 < np.mean(told) < 0.07
+    same = pl.DataFrame({"threshold": [0.0], "gain": [0.0], "error": [0.0], "levels": [5]})
+    assert least_gain(same)[1] < -0.4
 
 
 def test_without_help_the_novice_plays_as_it_does_and_with_all_of_it_the_expert(mouse):

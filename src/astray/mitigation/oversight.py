@@ -13,14 +13,13 @@ import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 import polars as pl
 
 from astray import games
 from astray.acting import Levels, Policy
-from astray.analysis.estimates import estimate_mean
+from astray.analysis.estimates import ends, estimate_mean, quantile
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label
 from astray.game import Game, Shift, Variant
 from astray.mitigation.helped import (
@@ -114,7 +113,7 @@ def curves(
     levels), intended and misgeneralized (fractions of episodes that reached the intended goal, or
     a proxy, first), seconds (of this curve and its part of shared episodes), the fraction of
     helped levels for each of `MOMENTS` (null without a watch), and gain (return minus that without
-    help in the same levels) with its standard error.
+    help in the same levels) with its standard error, and levels.
     """
     of_kind("trial", trial, Trial)
     began = time.perf_counter()
@@ -179,21 +178,24 @@ def _summed(
             "misgeneralized": float((outcome == MISGENERALIZED).mean()),  # pyrefly: ignore
         }
         | moments
-        | {"gain": float(gains.mean()), "error": float(error)}
+        | {"gain": float(gains.mean()), "error": float(error), "levels": len(gains)}
     )
 
 
 def least_gain(curves: pl.DataFrame, confidence: float = 0.95) -> tuple[float, float]:
     """Return the smallest gain of all points of `curves`, and a simultaneous lower bound.
 
-    It uses Bonferroni's correction, since the worst of many noisy points is low by chance.
+    It is Student's t over levels, with Bonferroni's correction, since the worst of many noisy
+    points is low by chance.
     """
     of_kind("curves", curves, pl.DataFrame)
     finite("confidence", confidence, 0, 1)
     helped = curves.filter(pl.col("threshold") != np.inf)
-    width = NormalDist().inv_cdf(1 - (1 - confidence) / len(helped))
-    gain, error = helped["gain"].to_numpy(), helped["error"].to_numpy()
-    return float(gain.min()), float((gain - width * error).min())
+    below, bounds = 1 - (1 - confidence) / len(helped), []
+    for gain, error, levels in helped.select("gain", "error", "levels").iter_rows():
+        square = quantile(levels - 1, below) ** 2
+        bounds.append(ends(gain, square * error**2, False, square / levels)[0])
+    return float(helped["gain"].to_numpy().min()), float(np.min(bounds))
 
 
 def area(curves: pl.DataFrame) -> pl.DataFrame:
