@@ -131,13 +131,27 @@ def test_intervals_hold_the_truth_where_one_agent_has_most_of_the_episodes(count
         assert held >= 0.92, (middle, spread, held)
 
 
+@pytest.mark.parametrize("agents, levels", [(1, 5), (1, 20), (4, 10)])
+def test_intervals_hold_the_truth_where_some_levels_have_most_of_the_steps(agents, levels):
+    """Or the weight: as if levels hardly differed (7 to 89 of 100 held it)."""
+    random = np.random.default_rng([agents, levels])
+    most, few = np.r_[300, np.full(levels - 1, 5)], np.arange(levels) < 3
+    for weights in (random.geometric(0.05, (MANY, 1, levels)), most, 50 * few, 20):
+        weights = np.broadcast_to(weights, (MANY, agents, levels))
+        hard = random.normal(0, 1, (MANY, 1, levels)) + random.normal(0, 0.2, weights.shape)
+        chance = random.beta(2, 2, (MANY, 1, levels))
+        for sums, truth in ((hard * weights, 0), (random.binomial(weights, chance), 0.5)):
+            both = zip(sums, weights, strict=True)
+            found = [estimate_mean(one, each, rate=truth > 0) for one, each in both]
+            assert np.mean([one.low <= truth <= one.high for one in found]) >= 0.92, truth
+
+
 def test_an_agent_without_weight_says_nothing():
     random = np.random.default_rng(3)
     weights = random.integers(1, 9, (4, 20))
     values = random.binomial(weights, 0.7)
-    nobody = np.zeros((1, 20), int)
-    found = estimate_mean(np.vstack([values, nobody]), np.vstack([weights, nobody]), rate=True)
-    assert found == estimate_mean(values, weights, rate=True)
+    more = [np.pad(each, (0, 1)) for each in (values, weights)]  # nor a level
+    assert estimate_mean(*more, rate=True) == estimate_mean(values, weights, rate=True)
 
 
 def test_of_one_agent_few_episodes_cover_rates_in_the_middle_and_less_often_near_the_ends():

@@ -5,11 +5,12 @@ Two things vary by chance: an agent differs from others in all levels, and a lev
 agents. The interval is for the mean over all agents that the training could give, in all levels of
 the variant. Its half-width has one part for each; their squares add up (Banerjee 1961):
 
-    agents  Student's t with agents - 1 degrees of freedom (fewer where one has most of the weight),
-            times the standard error of their means
+    agents  Student's t with agents - 1 degrees of freedom, times the standard error of their means
     levels  Student's t (with several agents, from 30 levels on the normal quantile) times the
             levels' fraction of the standard error, from the variance component that an analysis of
             variance estimates
+
+Where one agent, or level, has most of the weight, there are fewer degrees of freedom.
 
 With one agent, the interval is for this agent alone, over levels. Rates have Wilson's interval for
 the equivalent number of independent episodes, which stays within 0 and 1 and always has a width.
@@ -89,8 +90,9 @@ def estimate_mean(
     if weights.shape != values.shape or not ((weights >= 0) & (weights < np.inf)).all():
         raise ValueError(f"weights must be {values.shape} numbers, none below 0; got {weights}")
     total = float(weights.sum())
-    if total:  # an agent without weight says nothing
-        values, weights = (each[weights.any(1)] for each in (values, weights))
+    if total:  # an agent or a level without weight says nothing
+        there = np.ix_(weights.any(1), weights.any(0))
+        values, weights = values[there], weights[there]
     agents, levels = values.shape
     if not total or not all(np.isfinite(one).all() for one in (values, *pool)):
         return Estimate(math.nan, math.nan, math.nan, agents, levels, values.size)
@@ -98,17 +100,18 @@ def estimate_mean(
     if rate and abs(mean - 0.5) > 0.5 + 1e-9:  # sums are rounded
         raise ValueError(f"a rate must be from 0 to 1; the mean of these values is {mean:g}")
     rest = (values - mean * weights) * (values.size / total)  # deviations in units of the mean
-    among = _among_levels(rest)
-    if agents == 1 and rate:
+    of_trials = rate and math.isclose(rest.var(), mean * (1 - mean), abs_tol=1e-9)
+    among, apart = _among_levels(rest, weights.sum(0) / total)
+    if agents == 1 and of_trials:
         among = float(rest.var()) / levels  # in units of p (1 - p), as Wilson's
-    fractions = weights.sum(1) / total
-    between, freedom = _between_agents(rest, pool, mean if rate else None, fractions)
-    of_levels = _of_levels(agents, levels, rate)
-    one_trial = rate and levels == 1  # of each agent: the mean determines the variance
+    between, freedom = _between_agents(rest, pool, mean if rate else None, weights.sum(1) / total)
+    of_levels = _of_levels(agents, apart, of_trials)
+    one_trial = of_trials and levels == 1  # of each agent: the mean determines the variance
     widest = of_levels if agents == 1 or one_trial else quantile(freedom)
     square = max(widest**2 * between + of_levels**2 * among, float(rest.var()) / rest.size)
-    low, high = ends(mean, square, rate, widest**2 / int(np.count_nonzero(weights)))
-    known = _satterthwaite([(between, freedom), (among, levels - 1)])
+    least = widest**2 * float((weights**2).sum()) / total**2
+    low, high = ends(mean, square, rate, least)
+    known = _satterthwaite([(between, freedom), (among, apart)])
     return Estimate(mean, low, high, agents, levels, values.size, known)
 
 
@@ -146,14 +149,14 @@ def estimate_difference(
     ]
     alone = max(len(one), len(other)) == 1
     freedom = min(known for _, known in spreads) if pool or alone else _satterthwaite(spreads)
-    wide, of_levels = quantile(freedom), [_of_levels(len(v), v.shape[1], rate) for v in kinds]
+    wide, of_levels = quantile(freedom), [_of_levels(len(v), v.shape[1] - 1, rate) for v in kinds]
     if same_levels:
         noise = sum(_noise(rest) / rest.size for rest in rests)
         both = rests[0].mean(0) - rests[1].mean(0)
         common = max(0.0, float(both.var(ddof=1)) / len(both) - noise) if len(both) > 1 else 0.0
         among = [0.0, 0.0]
     else:
-        common, among = 0.0, [_among_levels(rest) for rest in rests]
+        common, among = 0.0, [_among_levels(rest)[0] for rest in rests]
     squares = [
         max(wide**2 * between + (t * t) * levels, float(rest.var()) / rest.size)
         for (between, _), levels, rest, t in zip(spreads, among, rests, of_levels, strict=True)
@@ -256,10 +259,10 @@ def _is_rate(values: np.ndarray) -> bool:
     return np.asarray(values).dtype == bool
 
 
-def _of_levels(agents: int, levels: int, rate: bool) -> float:
-    """Return the quantile for the levels' part; of one agent's rate it is Wilson's."""
-    is_normal = levels == 1 or (rate if agents == 1 else levels >= 30)
-    return quantile(math.inf if is_normal else levels - 1)
+def _of_levels(agents: int, freedom: float, of_trials: bool) -> float:
+    """Return the quantile for the levels' part; of one agent's trials it is Wilson's."""
+    is_normal = not freedom or (of_trials if agents == 1 else freedom >= 29)
+    return quantile(math.inf if is_normal else freedom)
 
 
 def _noise(rest: np.ndarray) -> float:
@@ -271,12 +274,38 @@ def _noise(rest: np.ndarray) -> float:
     return float((left**2).sum() / ((agents - 1) * (levels - 1)))
 
 
-def _among_levels(rest: np.ndarray) -> float:
-    """Return the levels' part in the variance of the mean of `rest` [agents, levels]."""
-    agents, levels = rest.shape
-    if levels == 1:
-        return 0.0
-    return max(0.0, float(rest.mean(0).var(ddof=1)) / levels - _noise(rest) / (agents * levels))
+def _of_mean(parts: np.ndarray, fractions: np.ndarray | None) -> tuple[float, float]:
+    """Return the variance of the mean of `parts` [N], and its degrees of freedom.
+
+    Args:
+        fractions: Each part's fraction of the weight; None if all are equal. The mean is close to
+            that of a part with most of it, so the variance is the jackknife's, with degrees of
+            freedom by Bell and McCaffrey (2002).
+    """
+    count = len(parts)
+    freedom = count - 1.0
+    if fractions is not None and np.ptp(fractions):
+        parts = parts * (without := (1 - 1 / count) / (1 - fractions))
+        scale = count * without * fractions
+        # The squares of parts are D + U S U', as a matrix of N x N would be large.
+        u = np.stack([scale**2, fractions, scale - scale.sum() * fractions], 1)
+        s = np.array([[0, -1, 0], [-1, (scale**2).sum(), 0], [0, 0, -1 / count]])
+        inner = s @ u.T @ u
+        trace = (scale**2).sum() + np.trace(inner)
+        squares = (scale**4).sum() + np.trace(2 * s @ (u.T * scale**2) @ u + inner @ inner)
+        freedom = float(trace**2 / squares) if fractions.max() < 0.99 else 1.0  # or rounding
+    return float(parts.var(ddof=1)) / count, freedom
+
+
+def _among_levels(rest: np.ndarray, fractions: np.ndarray | None = None) -> tuple[float, float]:
+    """Return the levels' part in the variance of the mean of `rest` [agents, levels].
+
+    With it come its degrees of freedom; for `fractions` see `_of_mean`.
+    """
+    if rest.shape[1] == 1:
+        return 0.0, 0.0
+    variance, freedom = _of_mean(rest.mean(0), fractions)
+    return max(0.0, variance - _noise(rest) / rest.size), freedom
 
 
 def _between_agents(
@@ -292,9 +321,7 @@ def _between_agents(
 
     Args:
         rate: The estimated rate; None if the mean is not a rate.
-        fractions: Each agent's fraction of the weight; None if all are equal. The mean is close to
-            that of an agent with most of it, so the variance is the jackknife's, with degrees of
-            freedom by Bell and McCaffrey (2002).
+        fractions: Each agent's, for `_of_mean`.
     """
 
     def unit(rate: float | None, count: int) -> float:
@@ -305,14 +332,7 @@ def _between_agents(
 
     if (agents := len(rest)) == 1:
         return 0.0, math.inf
-    freedom = agents - 1
-    if fractions is not None and np.ptp(fractions):
-        without = (1 - 1 / agents) / (1 - fractions)
-        rest = rest * without[:, None]
-        form = (agents * without * fractions)[:, None] * (np.eye(agents) - fractions)
-        form = (form - form.mean(0)).T @ (form - form.mean(0))
-        freedom = float(np.trace(form) ** 2 / (form**2).sum())
-    variance = float(rest.mean(1).var(ddof=1))
+    variance, freedom = _of_mean(rest.mean(1), fractions)
     kinds = (np.atleast_2d(np.asarray(kind, float)) for kind in pool)
     if several := [kind for kind in kinds if len(kind) > 1]:
         freedom = sum(len(kind) - 1 for kind in several)
@@ -322,8 +342,8 @@ def _between_agents(
             / unit(None if rate is None else float(kind.mean()), kind.size)
             for kind in several
         )
-        variance = max(variance, common / freedom * unit(rate, rest.size))
-    return variance / agents, freedom
+        variance = max(variance, common / freedom * unit(rate, rest.size) / agents)
+    return variance, freedom
 
 
 def ends(mean: float, square: float, rate: bool, least: float) -> tuple[float, float]:
