@@ -6,9 +6,9 @@ import numpy as np
 import polars as pl
 import pytest
 from scipy.special import expit
-from scipy.stats import binom
+from scipy.stats import binom, multinomial, norm
 
-from astray.analysis.estimates import estimate_difference, estimate_mean
+from astray.analysis.estimates import estimate_difference, estimate_mean, estimate_paired
 from astray.experiments.outcomes import AGENTS, rate
 from astray.outcome import FAILED, INTENDED, MISGENERALIZED
 from helpers.thorough import thorough
@@ -105,6 +105,44 @@ def test_the_difference_of_two_outcomes_is_covered_where_nearly_all_have_one(
         truth = chance[0] if agents == 1 else expected(middle, spread)
         held.append(found.low <= truth - (1 - truth) * share <= found.high)
     assert 0.92 <= np.mean(held) <= 0.99
+
+
+@pytest.mark.parametrize("levels", [20, 60, 100])
+def test_paired_rates_of_one_agent_are_covered_wherever_they_are(levels):
+    """By the multinomial distribution, without chance; Student's t held 86 of 100."""
+    counts = [(more, less) for more in range(levels + 1) for less in range(levels + 1 - more)]
+    kinds, chances = (0, 0.01, 0.02, 0.05, 0.1, 0.3, 0.5, 0.7, 0.9, 0.95, 0.98), []
+    at, found = np.arange(levels), []
+    for more, less in counts:
+        found.append(estimate_paired(at < more, (at >= more) & (at < more + less)))
+    low, high = (np.array([getattr(one, end) for one in found]) for end in ("low", "high"))
+    of_counts = np.column_stack([counts, levels - np.sum(counts, 1)])
+    for more, less in ((p, q) for p in kinds for q in kinds if q < p and p + q <= 1):
+        holds = (low <= more - less + 1e-9) & (more - less <= high + 1e-9)
+        given = multinomial.pmf(of_counts, levels, [more, less, max(0.0, 1 - more - less)])
+        chances.append(given[holds].sum())
+    assert min(chances) >= 0.93 and np.mean(chances) <= 0.985
+
+
+@pytest.mark.parametrize("how", ["both alike", "one or the other", "by level"])
+def test_paired_rates_of_several_agents_are_covered_where_nearly_all_differ(how):
+    """And where few do; Student's t held 85 of 100."""
+    for agents, levels, (one, other) in itertools.product(
+        (2, 8), (10, 30), ((0.99, 0.01), (0.95, 0.05), (0.05, 0.01))
+    ):
+        random = np.random.default_rng([agents, levels, int(100 * one)])
+        drawn = random.normal(0, 1, (2, TIMES, agents, levels))
+        if how == "by level":
+            drawn = (drawn + random.normal(0, 1, (1, TIMES, 1, levels))) / 2**0.5
+        else:
+            drawn[1] = drawn[0] if how == "both alike" else -drawn[0]
+        apart = random.normal(0, 0.25, (2, TIMES, agents, 1))
+        limits = norm.ppf([one, other])
+        both = drawn + apart < limits[:, None, None, None]
+        truth = np.subtract(*norm.cdf(limits / np.hypot(1, 0.25)))
+        found = [estimate_paired(*pair) for pair in both.swapaxes(0, 1)]
+        held = np.mean([each.low <= truth <= each.high for each in found])
+        assert held >= 0.91, (agents, levels, one, other, held)
 
 
 def test_rare_failures_are_covered_too():

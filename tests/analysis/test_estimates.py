@@ -131,7 +131,10 @@ def test_no_interval_is_without_width():
     paired = estimate_paired(alike, alike[:1])
     assert -1 <= paired.low < 0 < paired.high <= 1
     apart = estimate_paired(np.array([[True, True], [False, False]]), np.zeros((2, 2), bool))
-    assert (apart.low, apart.high) == (-1, 1)
+    assert -1 <= apart.low < -0.98 and 0.98 < apart.high <= 1
+    for agents, most in ((1, 0.03), (8, 0.01), (2, 0.1)):
+        level = estimate_paired(*np.ones((2, agents, 100), bool))
+        assert 0 < level.high < most and level.low == pytest.approx(-level.high)
 
 
 @pytest.mark.parametrize("succeeds", [False, True])

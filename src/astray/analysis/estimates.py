@@ -70,6 +70,7 @@ def estimate_mean(
     *,
     rate: bool | None = None,
     pool: Sequence[np.ndarray] = (),
+    lowest: float = 0.0,
 ) -> Estimate:
     """Return the mean of `values` [agents, levels] with a 95 % interval; NaN if one is not finite.
 
@@ -79,6 +80,7 @@ def estimate_mean(
         rate: Whether the mean is a rate of counts, from 0 to 1; None to decide by bool dtype.
         pool: [agents, levels] for every kind of agents in a study, including these. Their spread
             between agents is estimated jointly, because a few of each kind say little about it.
+        lowest: Lowest possible rate: 0, or -1 for the difference of two.
 
     Raises:
         ValueError: If values or weights have another shape, a weight is negative, or a rate is
@@ -89,6 +91,8 @@ def estimate_mean(
     weights = np.ones_like(values) if weights is None else _numbers("weights", weights)
     if weights.shape != values.shape or not ((weights >= 0) & (weights < np.inf)).all():
         raise ValueError(f"weights must be {values.shape} numbers, none below 0; got {weights}")
+    if rate:
+        values = (values - lowest * weights) / (1 - lowest)
     total = float(weights.sum())
     if total:  # an agent or a level without weight says nothing
         there = np.ix_(weights.any(1), weights.any(0))
@@ -100,7 +104,7 @@ def estimate_mean(
     if rate and abs(mean - 0.5) > 0.5 + 1e-9:  # sums are rounded
         raise ValueError(f"a rate must be from 0 to 1; the mean of these values is {mean:g}")
     rest = (values - mean * weights) * (values.size / total)  # deviations in units of the mean
-    of_trials = rate and math.isclose(rest.var(), mean * (1 - mean), abs_tol=1e-9)
+    of_trials = rate and not lowest and math.isclose(rest.var(), mean * (1 - mean), abs_tol=1e-9)
     among, apart = _among_levels(rest, weights.sum(0) / total)
     if agents == 1 and of_trials:
         among = float(rest.var()) / levels  # in units of p (1 - p), as Wilson's
@@ -109,8 +113,12 @@ def estimate_mean(
     one_trial = of_trials and levels == 1  # of each agent: the mean determines the variance
     widest = of_levels if agents == 1 or one_trial else quantile(freedom)
     square = max(widest**2 * between + of_levels**2 * among, float(rest.var()) / rest.size)
-    least = widest**2 * float((weights**2).sum()) / total**2
-    low, high = ends(mean, square, rate, least)
+    part = float((weights**2).sum()) / total**2
+    if rate and lowest:  # as if with two more, of 1 and -1 (Bonett and Price 2012)
+        square += 2 * (widest * part) ** 2 * mean * (1 - mean)
+    low, high = ends(mean, square, rate, widest**2 * part)
+    if rate:
+        mean, low, high = (lowest + (1 - lowest) * end for end in (mean, low, high))
     known = _satterthwaite([(between, freedom), (among, apart)])
     return Estimate(mean, low, high, agents, levels, values.size, known)
 
@@ -191,10 +199,7 @@ def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
             f"both must be of the same agents, or one, in the same levels; got {one.shape} and "
             f"{other.shape}"
         )
-    found = estimate_mean(one - other)
-    if rates:
-        found = replace(found, low=max(-1.0, found.low), high=min(1.0, found.high))
-    return found
+    return estimate_mean(one - other, rate=rates, lowest=-1.0)
 
 
 def minus(one: Estimate, other: Estimate) -> Estimate:
@@ -374,14 +379,19 @@ def _satterthwaite(parts: Sequence[tuple[float, float]]) -> float:
     return whole**2 / squares if squares else float(min(known, default=1.0))
 
 
-def mean_of(rows: pl.DataFrame, value: str | pl.Expr, *, rate: bool = False) -> Estimate:
+def mean_of(
+    rows: pl.DataFrame, value: str | pl.Expr, *, rate: bool = False, lowest: float = 0.0
+) -> Estimate:
     """Return the mean of a column or expression over all of `rows`; NaN without rows.
 
     Args:
-        rate: Whether it is a rate of numbers from 0 to 1; of booleans it always is.
+        rate: Whether it is a rate of numbers from `lowest` to 1; of booleans it always is.
+        lowest: As for `estimate_mean`.
     """
     known = rows.with_columns(value=value).drop_nulls("value")
-    return Estimate.nothing() if known.is_empty() else estimate_rows(known, "value", rate=rate)
+    if known.is_empty():
+        return Estimate.nothing()
+    return estimate_rows(known, "value", rate=rate, lowest=lowest)
 
 
 def group_rates(
@@ -437,7 +447,12 @@ def group_means(
 
 
 def estimate_rows(
-    rows: pl.DataFrame, value: str, per: str | None = None, *, rate: bool = False
+    rows: pl.DataFrame,
+    value: str,
+    per: str | None = None,
+    *,
+    rate: bool = False,
+    lowest: float = 0.0,
 ) -> Estimate:
     """Return the sum of `value` over that of `per` (1 if None), whichever levels each agent has.
 
@@ -456,5 +471,5 @@ def estimate_rows(
     np.add.at(totals, cell, rows[value].cast(pl.Float64).to_numpy())
     np.add.at(weights, cell, rows[per].to_numpy() if per else 1.0)
     rate |= not per and rows[value].dtype == pl.Boolean
-    found = estimate_mean(totals, weights, rate=rate)
+    found = estimate_mean(totals, weights, rate=rate, lowest=lowest)
     return replace(found, rows=len(rows))  # not of all agents in all levels

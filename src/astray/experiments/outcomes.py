@@ -4,7 +4,6 @@ The policy "sampled" stands for the agents: as in the original, actions are samp
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -67,10 +66,7 @@ def rate(
         return estimate_paired(matrix(part, came), matrix(its, other))
     if not minus:
         return mean_of(part, came)
-    # From 0 to 1, as a rate: near either end, an interval of Student's t is too narrow.
-    found = mean_of(part, (1 + came.cast(pl.Int8) - other.cast(pl.Int8)) / 2, rate=True)
-    mean, low, high = (2 * one - 1 for one in (found.mean, found.low, found.high))
-    return replace(found, mean=mean, low=low, high=high)
+    return mean_of(part, came.cast(pl.Int8) - other.cast(pl.Int8), rate=True, lowest=-1.0)
 
 
 def _of_one(episodes: pl.DataFrame, test: str, policy: str = AGENTS) -> pl.DataFrame:
