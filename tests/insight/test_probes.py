@@ -112,6 +112,36 @@ def test_the_interval_of_a_score_is_over_levels():
     assert values.mean() == pytest.approx(r2_score(numbers, guess))
 
 
+@pytest.mark.parametrize("count, few", [(50, 3), (50, 15), (200, 5)])
+def test_a_score_holds_the_truth_where_a_class_is_in_few_levels(count, few):
+    """All told right, or not, in these few: 34 to 90 of 100 held it."""
+    random, every, some = np.random.default_rng(count), np.repeat(np.arange(count), 20), []
+    levels = np.r_[every, np.repeat(np.arange(few), 10)]
+    y = (np.arange(len(levels)) >= len(every)).astype(int)
+    for most, least in ((0.99, 0.8), (0.9, 0.9), (1, 0.95)):
+        for _ in range(300):
+            often = random.beta(0.5 * most, 0.5 * (1 - most) or 1e-9, count)
+            seldom = random.beta(0.5 * least, 0.5 * (1 - least), few)
+            chance = np.r_[often[every], np.repeat(seldom, 10)]
+            found = probes.score(y, np.where(random.random(len(y)) < chance, y, 1 - y), levels)
+            some.append(found.low <= (most + least) / 2 <= found.high)
+    assert np.mean(some) >= 0.92
+
+
+def test_what_a_network_gains_is_less_certain_where_a_class_is_in_few_levels(monkeypatch):
+    random = np.random.default_rng(1)
+    levels = np.repeat(np.arange(60), 20)
+    x, fold = random.normal(size=(1200, 1)), levels % 3
+    for few, wider in ((60, 1), (3, 2.1)):  # Student's quantiles of 2 and of 59 degrees of freedom
+        y = (levels < few) & (random.random(1200) < 0.5)
+        told = probes._told(x, [x] * 3, y, levels, fold)
+        with monkeypatch.context() as patch:
+            patch.setattr(probes, "quantile", lambda freedom: 1.0)
+            before = probes._told(x, [x] * 3, y, levels, fold)
+        widths = [one["selectivity high"] - one["selectivity low"] for one in (told, before)]
+        assert widths[0] / widths[1] == pytest.approx(wider, rel=0.1)
+
+
 def test_no_interval_of_a_score_exceeds_1():
     random = np.random.default_rng(0)
     levels, y = np.repeat(np.arange(8), 20), random.normal(size=160)

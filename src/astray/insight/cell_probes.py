@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from astray.analysis.estimates import estimate_mean
 from astray.analysis.trained import Model
 from astray.estimate import Estimate
 from astray.game import Variant
 from astray.insight.activations import beginnings_in
 from astray.insight.interventions import place
-from astray.insight.probes import FITS, by_level, need_sklearn
+from astray.insight.probes import FITS, need_sklearn, score
 
 MOST = 20_000  # cells that are fitted to; more take long and change little
 Cells = Callable[[np.ndarray], np.ndarray]  # states [N] -> the agent's places [N, 2], (x, y)
@@ -54,7 +53,7 @@ class CellProbe:
             raise ValueError("a score needs cells of both kinds; all are of one")
         told = (self.map(x) > 0.5).reshape(-1).astype(np.int64)
         each = np.repeat(levels, truth[0].size)
-        return estimate_mean(by_level(y, told, each), rate=True)
+        return score(y, told, each)
 
 
 def fit(x: np.ndarray, truth: np.ndarray, levels: np.ndarray, *, seed: int = 0) -> CellProbe:

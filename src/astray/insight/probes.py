@@ -10,8 +10,10 @@ contains everything in the picture, so a score alone does not show that the agen
 """
 
 import copy
+import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +25,7 @@ from torch.nn.utils.weight_norm import WeightNorm
 from astray import imports
 from astray.agents.policy import defaults
 from astray.analysis.critic import observe
-from astray.analysis.estimates import estimate_mean
+from astray.analysis.estimates import estimate_mean, quantile
 from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.trained import Agent, AnyModel, Model
 from astray.estimate import Estimate
@@ -180,20 +182,24 @@ def _told(
             told.pop("untrained", None)
         else:
             told["untrained"][1][test] = _predicted(network[keep], y, ~test, k)
-    found = {name: by_level(*both, levels) for name, both in told.items()}
+    found = {name: score(*both, levels) for name, both in told.items()}
+    contributions = {name: by_level(*both, levels) for name, both in told.items()}
     row = {
         "kind": "class" if is_class(y) else "number",
         "states": len(y),
-        "levels": len(np.unique(levels)),
+        "levels": (count := len(np.unique(levels))),
         "chance": 1 / len(np.unique(y)) if is_class(y) else 0.0,
     }
-    parts = {name: (parts, is_class(y)) for name, parts in found.items()}
-    parts["selectivity"] = found["score"] - found["shuffled"], False
-    if "untrained" in found:
-        parts["gain"] = found["score"] - found["untrained"], False
+    kinds = [y == one for one in np.unique(y)] if is_class(y) else []
+    few = min((len(np.unique(levels[kind])) for kind in kinds), default=count)
+    wider = quantile(few - 1) / quantile(count - 1)  # as a class in few levels varies
+    for name, other in {"selectivity": "shuffled", "gain": "untrained"}.items():
+        if other in found:
+            one = estimate_mean(contributions["score"] - contributions[other], rate=False)
+            low, high = (one.mean + wider * (end - one.mean) for end in (one.low, one.high))
+            found[name] = replace(one, low=low, high=high)
     for name in (*SCORES, "selectivity", "gain"):
-        values, rate = parts.get(name, (None, False))
-        one = Estimate.nothing() if values is None else estimate_mean(values, rate=rate)
+        one = found.get(name, Estimate.nothing())
         ends = (one.mean, one.low, min(one.high, 1.0) if name in SCORES else one.high)
         row |= {
             f"{name}{end}": None if np.isnan(value) else value
@@ -226,6 +232,26 @@ def by_level(y: np.ndarray, told: np.ndarray, levels: np.ndarray) -> np.ndarray:
         parts = [ratio(right & (y == one), (y == one).astype(float)) for one in np.unique(y)]
         return np.mean(parts, axis=0)
     return 1 - ratio((y - told) ** 2, (y - y.mean()) ** 2)
+
+
+def score(y: np.ndarray, told: np.ndarray, levels: np.ndarray) -> Estimate:
+    """Return the score of predictions `told` [N] of labels `y` [N] with its interval over levels.
+
+    A class that few `levels` [N] have says little, also where all of it is told right. The interval
+    is therefore at least as wide as the classes' own give (each half the root of a sum of squares).
+    """
+    parts = by_level(y, told, levels)
+    if not is_class(y):
+        return estimate_mean(parts, rate=False)
+    found, each = estimate_mean(parts, rate=True), []
+    for one in np.unique(y):
+        _, level = np.unique(levels[y == one], return_inverse=True)
+        right = np.bincount(level, (told == y)[y == one])
+        each.append(estimate_mean(right, np.bincount(level), rate=True))
+    below = math.hypot(*(one.mean - one.low for one in each)) / len(each)
+    above = math.hypot(*(one.high - one.mean for one in each)) / len(each)
+    low, high = min(found.low, found.mean - below), max(found.high, found.mean + above)
+    return replace(found, low=low, high=high)
 
 
 def split(levels: np.ndarray, seed: int) -> np.ndarray:
