@@ -237,8 +237,8 @@ def by_level(y: np.ndarray, told: np.ndarray, levels: np.ndarray) -> np.ndarray:
 def score(y: np.ndarray, told: np.ndarray, levels: np.ndarray) -> Estimate:
     """Return the score of predictions `told` [N] of labels `y` [N] with its interval over levels.
 
-    A class that few `levels` [N] have says little, also where all of it is told right. The interval
-    is therefore at least as wide as the classes' own give (each half the root of a sum of squares).
+    A class that few `levels` [N] have says little, also where each prediction is correct. The
+    interval is therefore at least as wide as those of the classes give, by the sum of squares.
     """
     parts = by_level(y, told, levels)
     if not is_class(y):
