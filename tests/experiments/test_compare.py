@@ -1,5 +1,6 @@
 """A page that compares agents: verdict first, outcomes, paired differences, curves and a video."""
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -11,13 +12,13 @@ from matplotlib.figure import Figure
 
 import astray
 from astray.analysis.adapters import Function
-from astray.analysis.outcomes import INTENDED, MISGENERALIZED
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, load_shift
 from astray.analysis.policies import Random, Walk
 from astray.analysis.results import Result
 from astray.cli import pages
 from astray.cli.arguments import Acting
 from astray.experiments import compare as comparison
-from astray.experiments.compare import _short, compare, paired
+from astray.experiments.compare import _answer, _short, compare, paired
 from astray.figures import charts
 from astray.game import Shift
 from astray.report.findings import Plot
@@ -118,6 +119,25 @@ def test_differences_are_corrected_for_their_number():
     assert paired(result, ["seldom", "a"])["differ"].all()
     many = paired(result, ["seldom", *others])
     assert ((many["low"] > 0) | (many["high"] < 0)).sum() == 14 and not many["differ"].any()
+
+
+def test_the_largest_difference_of_many_pairs_has_an_interval_for_the_largest():
+    """Its own interval, from pairs that differ for certain, held the truth in 65 to 86 of 100."""
+    random, names, held = np.random.default_rng(0), "abcdefgh", []
+    chance, shift = np.linspace(0.3, 0.7, 8), load_shift("maze", "corner-small")
+    table = pl.DataFrame(
+        {"policy": np.repeat([*names], 100), "level": [*range(100)] * 8, "seed": 0}
+    )
+    for _ in range(40):
+        came = (random.random((8, 100)) < chance[:, None]).ravel()
+        outcome = np.where(came, MISGENERALIZED, INTENDED)
+        episodes = table.with_columns(outcome=outcome)
+        rates = pl.DataFrame({"levels_played": ["all"]})
+        told = _answer(paired(Result(rates, episodes, (), shift), [*names]), shift)
+        found = re.match(r"(.) mis.* than (.):.* interval (\S+) to (\S+), as the", told).groups()
+        more, less = (chance[names.index(one)] for one in found[:2])
+        held.append(float(found[2]) <= 100 * (more - less) <= float(found[3]))
+    assert np.mean(held) >= 0.92
 
 
 def test_agents_of_the_same_outcomes_have_no_level_in_which_they_differ(tmp_path):

@@ -90,6 +90,7 @@ def test_outcomes_are_of_all_agents_and_repeat_what_an_evaluation_says(trained, 
     told = page.read_text()
     assert "by learning_rate and time_limit?" in told and "Reproduces" not in told
     assert re.search(r"least often with learning_rate \S+, time_limit \d+: ", told)
+    assert "The extremes of 4 combinations differ by chance too" in told
     outcomes = pl.read_parquet(tmp_path / "outcomes.parquet")
     mine = outcomes.filter(policy="sampled")
     counts = mine.group_by(*TWO, "seed", "test").len()

@@ -13,7 +13,7 @@ import polars as pl
 from astray import world
 from astray.acting import Policy
 from astray.analysis import video
-from astray.analysis.estimates import estimate_paired
+from astray.analysis.estimates import CONFIDENCE, estimate_paired, quantile
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, load_shift, matrix, name_of
 from astray.analysis.policies import scripts_of
 from astray.analysis.results import APART, Result
@@ -155,12 +155,17 @@ def _answer(differences: pl.DataFrame, shift: Shift) -> str:
         who = "They do not" if len(pairs) == 1 else "No two of them"
         return f"{who} differ for certain in how often {goal} comes first."
     most = rows.sort(pl.col("mean").abs(), descending=True).row(0, named=True)
-    more, less = (most["first"], most["second"])[:: 1 if most["mean"] > 0 else -1]
-    low, high = sorted(abs(100 * most[end]) for end in ("low", "high"))
+    sign = 1 if most["mean"] > 0 else -1
+    more, less = (most["first"], most["second"])[::sign]
+    pairs, freedom = len(differences.filter(outcome=outcome)), most["levels"] - 1
+    wider = quantile(freedom, 1 - (1 - CONFIDENCE) / 2 / pairs) / quantile(freedom)
+    ends = (most["mean"] + wider * (most[end] - most["mean"]) for end in ("low", "high"))
+    low, high = sorted(100 * min(1.0, max(0.0, sign * end)) for end in ends)
+    among = f", as the largest of {pairs} (Bonferroni)" * (pairs > 1)
     return (
         f"{more} {does} more often than {less}: {goal} comes first in "
         f"{abs(100 * most['mean']):.1f} percentage points more of the same {most['levels']:,} "
-        f"levels (95\u00a0% interval {low:.1f} to {high:.1f})."
+        f"levels (95\u00a0% interval {low:.1f} to {high:.1f}{among})."
     )
 
 

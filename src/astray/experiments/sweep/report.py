@@ -74,7 +74,9 @@ def findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findi
     settings = {name: str(x) for name, x in sweep.base.flat().items() if name not in sweep.axes}
     return Findings(
         answer=f"{goal} is reached first in the test least often with {ends[0]}, and most often "
-        f"with {ends[1]}.",
+        f"with {ends[1]}."
+        + f" The extremes of {len(asked)} combinations differ by chance too: each interval is for "
+        "one of them alone." * (len(asked) > 2),
         claims=[],
         plots=list(_plots(sweep, episodes)),
         tables=[Table("agents", "Outcomes of the agents", agents.drop("policy"))],
