@@ -148,6 +148,31 @@ def test_a_sweep_goes_on_and_takes_more_values(trained, tmp_path, monkeypatch):
     assert (tmp_path / "figures" / "learning-rate.png").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(
+    "base, changed",
+    [
+        (BASE, {"width": [8, 16]}),
+        (BASE, {"learning_rate": [1e-4, 1e-3]}),
+        (replace(BASE, steps=512), {"learning_rate": [1e-4, 5e-4]}),
+    ],
+)
+def test_a_sweep_does_not_replace_the_outcomes_of_another(trained, tmp_path, base, changed):
+    run_sweep(Sweep(BASE, {"learning_rate": [1e-4, 5e-4]}, levels=3), tmp_path)
+    first = (tmp_path / "outcomes.parquet").read_bytes()
+    with pytest.raises(FileExistsError, match=r"a sweep of other agents, .*0005.*; change `out`"):
+        run_sweep(Sweep(base, changed, levels=3), tmp_path)
+    assert (tmp_path / "outcomes.parquet").read_bytes() == first and len(trained) == 2
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_sweep_may_have_the_agents_of_another_among_its_own(trained, tmp_path):
+    run_sweep(Sweep(BASE, {"learning_rate": [5e-4]}, levels=3), tmp_path)
+    width = BASE.width
+    run_sweep(Sweep(BASE, {"learning_rate": [1e-4, 5e-4], "width": [width, 8]}, 2, 3), tmp_path)
+    assert len(trained) == 8
+
+
 @pytest.mark.parametrize("name", ["report.html", "outcomes.parquet", "tables"])
 def test_a_sweep_does_not_write_over_what_was_there(trained, tmp_path, name):
     (tmp_path / name).write_text("mine")

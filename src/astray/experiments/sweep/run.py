@@ -7,6 +7,7 @@ report.html: figures for each pair of settings, and the rates.
 """
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,9 @@ from astray.experiments.sweep.report import findings, heading
 from astray.experiments.sweep.settings import Cell, Sweep
 from astray.files import check_free, hold, write_aside
 from astray.report import page as report
-from astray.training.config import Tracking
+from astray.training.config import Config, Tracking
+from astray.training.folders import read_json
+from astray.validation import shown
 
 SWEPT, OUTCOMES, RATES = "sweep.json", "outcomes.parquet", "rates.csv"
 
@@ -40,9 +43,13 @@ def run_sweep(
         workers: Number of agents to train in parallel; None for one per processor.
         on: Place of the trainings; evaluation happens here.
         track: External tracker of the trainings.
+
+    Raises:
+        FileExistsError: If the folder has outcomes of agents that this sweep does not have.
     """
     check_free(folder, SWEPT, b'"axes"', (*report.WRITTEN, OUTCOMES, RATES))
     with hold(folder, "sweeps in"):
+        _check_extends(sweep, folder / SWEPT)
         plans = sweep.plans()
         agents = {name: config for plan in plans.values() for name, config in plan.agents.items()}
         joined = replace(next(iter(plans.values())), agents=agents, tests={}, first_level=None)
@@ -61,6 +68,29 @@ def run_sweep(
         table = rates(episodes, by, outcomes_of(sweep.base.find_game()))
         write_table(table, folder / RATES)
         return report.write(heading(sweep, folder), findings(sweep, episodes, table), folder)
+
+
+def _check_extends(sweep: Sweep, path: Path) -> None:
+    """Raise FileExistsError if outcomes of another sweep would be replaced by those of fewer."""
+    if not path.exists():
+        return
+    told = read_json(path, dict, [*vars(sweep)])
+    try:
+        there = Sweep(**told | {"base": Config.from_json(told["base"])})
+        lacks = bool({*_agents(there)} - {*_agents(sweep)})
+    except (ValueError, TypeError, AttributeError, KeyError):  # as of an older version
+        lacks = True
+    if lacks:
+        axes = shown(told["axes"])
+        said = f"{path.parent} has a sweep of other agents, {axes}, whose outcomes would be lost"
+        raise FileExistsError(f"{said}; change `out`, or sweep these values, too")
+
+
+def _agents(sweep: Sweep) -> Iterator[str]:
+    """Return the settings of each agent of a sweep."""
+    for plan in sweep.plans().values():
+        for config in (one for its in plan.trainings().values() for one in its):
+            yield json.dumps(config.identity(), sort_keys=True)
 
 
 def _episodes(sweep: Sweep, folder: Path, cell: Cell, plan: Plan, runs: Runs) -> pl.DataFrame:
