@@ -1,5 +1,7 @@
 """What agents that see images do is looked up: tables of it, and a page that reads them."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
 from astray.lab.export import check_exportable, export, table
 from astray.lab.serving import make_lab
+from astray.lab.session import Session
 from astray.level import Level
 from helpers.browsed import folder_served, opened, usual_lab, wait
 
@@ -46,6 +49,25 @@ def test_a_large_agent_is_looked_up_in_a_table(chrome, untrained, tmp_path):
             )
             assert np.allclose(one["policy"], policy[0], atol=0.01)  # a byte for each
             assert abs(one["value"] - value[0]) < 0.01
+
+
+def test_a_table_knows_where_the_agent_faces_and_what_is_likeliest(chrome, untrained, tmp_path):
+    untrained(tmp_path / "run", SIGHTED, **IMAGES)
+    lab = make_lab(tmp_path / "run", {"level": 0})
+    export(lab, tmp_path / "site", levels=2, agents=[str(tmp_path / "run")])
+    (index,) = (tmp_path / "site" / "data" / "agents").glob("*.json")
+    told = json.loads(index.read_text())
+    right = games.find("maze").actions.index("right")
+    words = {"kind": "play", "game": "maze", "variant": "anywhere-small", "level": 1}
+    words |= {"actions": [right], "steps": 3, "mode": "greedy"}
+    with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, _):
+        message = words | {"agent": page.evaluate("lab.part('agent').value")}
+        here = page.evaluate("(message) => lab.engine.ask(message)", message)
+    message = {"id": 1} | words | {"agent": str(tmp_path / "run")}
+    *_, there = Session(lab).answers(json.dumps(message))
+    assert here["actions"] == there["actions"]
+    half = (told["high"] - told["low"]) / told["one"] / 2  # of what a byte tells
+    assert np.allclose(here["value"], there["value"], rtol=0, atol=half + 1e-6)
 
 
 @pytest.mark.thorough  # `test_a_large_agent_is_looked_up_in_a_table`

@@ -2,7 +2,7 @@
 
 `page/engine/local.js` does the work of Python: the rules of astray's own games, small networks,
 posteriors over goals. Networks for images become tables, computed here: in some levels, for every
-place of goal and agent, the policy and the value, one byte each.
+place of goal and agent, facing left or right, the policy and the value, one byte each.
 """
 
 import base64
@@ -36,7 +36,7 @@ from astray.validation import MOST, bounded, of_kind, path_of
 
 DRAWS = 100_000  # from the twister of a level's number, at most, until the level begins
 OF_NO_LEVEL = ("level", "seed", "turn", "gap")  # fields that are not of a level
-TABLE = 2**20  # bytes of an agent's table, at most
+TABLE = 2**21  # bytes of an agent's table, at most
 COMPUTED = "mlp"  # the network that the page computes
 CERTAIN = 255  # a byte that is a probability of 1
 NOTE = (
@@ -248,9 +248,10 @@ def table(
 ) -> tuple[dict[str, Any], bytes]:
     """Return an index and bytes of an agent's outputs in the first levels, for all places.
 
-    A row is the policy [A] and the value, one byte each. If all places of the goal would take more
-    than `most` bytes divided by `count`, a level has only the goal's own place. ValueError is
-    raised if the agent cannot see such levels.
+    A row is the policy [A] and the value, one byte each: of an agent that faces left in all its
+    places, then of one that faces right. If all places of the goal would take more than `most`
+    bytes divided by `count`, a level has only the goal's own place. ValueError is raised if the
+    agent cannot see such levels.
     """
     bounded("levels", count, 1, MOST)
     if not sees(agent, game, variant):
@@ -260,16 +261,18 @@ def table(
         level = Level.of(game, variant, s)
         cells = places(game, level.removed("goal").state(solvable=False)).tolist()
         family = level.splay("goal")
-        if len(family) * len(cells) * (len(game.actions) + 1) > most / count:
+        if len(family) * 2 * len(cells) * (len(game.actions) + 1) > most / count:
             family = [level]
         goals = {}
         for one in family:
             (where,) = one.where("goal")
             goals[f"{where[0]},{where[1]}"] = rows
-            policy, value = policy_and_value(agent, observe(agent, variant, states_at(one, cells)))
+            states = states_at(one, cells * 2)
+            states["faces_right"] = np.arange(len(states)) >= len(cells)
+            policy, value = policy_and_value(agent, observe(agent, variant, states))
             policies.append(policy)
             values.append(value)
-            rows += len(cells)
+            rows += len(states)
         levels.append(
             {
                 # Cells, the lowest row first, with "#" for walls.
@@ -285,6 +288,9 @@ def table(
     spread = (high - low) or 1.0
     data = np.empty((rows, len(game.actions) + 1), np.uint8)
     data[:, :-1] = np.round(CERTAIN * policy)
+    best = policy.argmax(1)
+    tied = data[:, :-1].argmax(1) != best  # else a page would take another as the likeliest
+    data[tied, best[tied]] += 1
     data[:, -1] = np.round(CERTAIN * (value - low) / spread)
     numbers = {"actions": len(game.actions), "one": CERTAIN, "low": low, "high": high}
     return {**numbers, "levels": levels}, data.tobytes()

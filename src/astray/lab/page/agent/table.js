@@ -1,8 +1,8 @@
 // Tables of the outputs of agents that are too large to be computed here.
 //
-// For some levels, and in them for every place of the goal and of the agent, its policy and value
-// were computed beforehand, a byte for each probability. A level is known by what else images show,
-// its walls, its floor and its other object: one that was edited has no number.
+// For some levels, and in them for every place of the goal and of the agent, facing left or right,
+// its policy and value were computed beforehand, a byte for each probability. A level is known by
+// what else images show, its walls, its floor and its other object: one that was edited has no number.
 
 import { NEVER, WALL, world } from "../rules/common.js";
 
@@ -29,7 +29,7 @@ export async function readTable(file, about) {
     if (rows === undefined || row < 0) {
       throw new Error("this agent's answers were computed beforehand, but not of this place");
     }
-    const at = (rows + row) * (actions + 1);
+    const at = (rows + row + (s.faces_right ? level.places.length : 0)) * (actions + 1);
     const policy = Array.from(bytes.subarray(at, at + actions), (byte) => byte / most);
     const sum = policy.reduce((a, b) => a + b, 0) || 1;
     const value = low + ((high - low) * bytes[at + actions]) / most;
