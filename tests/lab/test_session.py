@@ -403,6 +403,20 @@ def test_a_function_with_memory_remembers_where_it_stands_and_nowhere_else():
     assert "elsewhere it is asked as at" in session.lab.agents.about("counting")["caveat"]
 
 
+def late(seen, memory, begins):
+    """Goes right, then up and then stays; there is nothing to remember in the first step."""
+    age = np.zeros(len(seen), int) if memory is None else memory + 1
+    return np.array([7, 5, 4])[np.minimum(age + ~begins, 2)], None if begins.all() else age
+
+
+def test_a_function_remembers_in_the_lab_though_it_has_nothing_to_remember_at_first():
+    policy = Function(late, "late", observation="symbolic", remembers=True)
+    session = Session(make_lab(policy, MAZE_STARTS))
+    asked = MAZE | {"agent": "late", "level": ROOM}
+    whole = ask(session, "play", **asked, steps=6)["actions"]
+    assert ask(session, "play", **asked, actions=whole[:4], steps=2)["actions"] == whole
+
+
 def test_walks_in_drawn_levels_are_not_mixed_up():
     session = Session(make_lab(Walk("cheese"), MAZE_STARTS))
     other = ROOM.replace("....G", ".....").replace("@....", "@...G")

@@ -13,6 +13,7 @@ import numpy as np
 
 from astray import games, grid
 from astray.acting import Asking, Onward, Policy, Step, Turn, initial_states, play
+from astray.analysis.policies import Walk
 from astray.analysis.replay import Script
 from astray.envs.beginnings import without_autoreset
 from astray.envs.vector import quickest
@@ -166,10 +167,13 @@ class Episode:
         world, asking = self.world, Asking(policy)
         shown = policy.observation or quickest(world.game)
         env = without_autoreset(world.game, world.variant, 1, shown, policy.art)
-        for before in self.states[:-1]:  # a policy with memory remembers them
+        may_remember = getattr(policy, "caveat", "") and not isinstance(
+            getattr(policy, "policy", None), Walk
+        )
+        # It may remember nothing in the first of them, and something later.
+        for before in self.states[:-1] if may_remember else ():
             asking.send(0, 0, Turn.of(env, env.set_state(before)))
-            if asking.receive(0).memory is None:
-                break
+            asking.receive(0)
         onward = Onward(env, env.set_state(self.state))
         for step in play(asking, onward, steps):
             self.states.append(step.after.copy())
