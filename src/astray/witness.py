@@ -56,7 +56,12 @@ class Witness(gymnasium.Wrapper):
         if key is not None and key not in info:
             raise Failed(f"{self._where()}: its info has no {key!r}, the number of the level")
         if key is not None:
-            self.level = int(info[key])
+            number = np.asarray(info[key])  # EnvPool's is an array of one
+            if number.dtype.kind not in "iu" or number.size != 1 or number.item() >= 2**63:
+                told = f"info[{key!r}], the number of the level, must be an integer below 2**63"
+                raise Failed(f"{self._where()}: {told}; got {shown(info[key])}")
+            self.level = number.item()
+            info = {**info, key: self.level}
         self._happens(info)
         return seen, {**info, NOTED: self._told()}
 

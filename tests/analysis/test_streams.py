@@ -170,3 +170,14 @@ def test_a_stream_that_cannot_be_is_refused():
     fixed = replace(STREAMS, variants=dict.fromkeys(STREAMS.variants, lambda: Room("anywhere")))
     with pytest.raises(ValueError, match=r"takes no such knob: got an unexpected .*'stream'"):
         evaluate(RIGHT, fixed, "anywhere", range(3))
+
+
+@pytest.mark.parametrize("number", [2.7, "twelve", None, True, np.uint64(2**63 + 5), [1, 2]])
+def test_a_number_of_a_level_that_is_no_integer_is_refused_and_not_cut_to_one(number):
+    class Odd(Stream):
+        def reset(self, *, seed=None, options=None):
+            return super().reset(seed=seed)[0], {"level_seed": number}
+
+    odd = replace(STREAMS, variants={"end": Odd, "anywhere": Odd})
+    with pytest.raises(ValueError, match="the number of the level, must be an integer below"):
+        evaluate(RIGHT, odd, "anywhere", range(3))
