@@ -1,8 +1,10 @@
 """Compile what most tests ask for, on two cores: python -m helpers.compiled
 
-Of two processes that compile one game one waits for the other, as would the workers of the tests.
+Of two processes that compile one game one waits for the other, as would the workers of the tests;
+and each of these would compile the rules of pages for itself.
 """
 
+import gc
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
@@ -15,19 +17,22 @@ from astray.art import original
 from astray.envs.compiled import compiled_loop
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN
+from astray.lab import rules
 from astray.training.fast import fused, sparse
 from astray.training.ppo import Samples
 
 
 def main() -> None:
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+    # Garbage is looked for less often, which saves a twentieth.
+    how = {"initializer": gc.set_threshold, "initargs": (100_000,)}
+    with ProcessPoolExecutor(2, get_context("spawn"), **how) as pool:
         begun = [pool.submit(compile_losses), *(pool.submit(compile_game, n) for n in games.OWN)]
         for one in begun:
             one.result()
 
 
 def compile_game(name: str) -> None:
-    """Compile a game, with the art that is there, its solver and its mutation."""
+    """Compile a game, with the art that is there, its solver, its mutation and its page's rules."""
     arts = (OWN, *(() if set(original.missing()) - set(original.FORK_ALONE) else ("original",)))
     game = games.find(name)
     for art in arts:
@@ -40,16 +45,18 @@ def compile_game(name: str) -> None:
     if game.mutation:
         seeds = np.zeros(1, np.uint32)
         game.mutation.mutate(env.get_state(), env.variant, seeds, 1, "constant")
+    rules.module(game)
 
 
 def compile_losses() -> None:
-    """Compile the losses of training, and the sparse layer."""
+    """Compile the losses of training, the sparse layer, and what all pages call."""
     planes, one = torch.ones((1, 1, 1, 1), dtype=torch.uint8), torch.ones(1)
     batch = Samples(planes, torch.zeros(1, dtype=torch.int64), one, one, one, one)
     for between in (torch.float32, torch.bfloat16):
         outputs = sparse.outputs(MLP((1, 1, 1), [1], 2), planes, between)
         loss, _ = fused.loss(outputs, batch, (0.2, 0.5, 0.01))
         loss.backward()
+    rules.shared()
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.figures.axes import COLOURS
 from astray.figures.style import OTHERS
 from astray.kernel import rng, thief
-from astray.lab import constants, goals, rules
+from astray.lab import constants, goals, rules, wasm
 from astray.level import Level
 from astray.outcome import INTENDED, MISGENERALIZED
 from astray.training import ppo
@@ -36,35 +36,50 @@ PLANES = [  # what each is a plane of, in an order that is not the game's
 ]
 
 
-@pytest.mark.parametrize("name, kind, order", PLANES)
-def test_planes_have_the_order_of_python(chrome, static, exported, monkeypatch, name, kind, order):
-    game, draw = games.find(name), importlib.import_module(f"astray.games.{name}.draw")
-    (s,) = initial_states(game, game.variant(kind), [3])
-    level = Level.of(game, game.variant(kind), s)
-    seen, _ = GameVectorEnv(name, kind, 1, observation="symbolic").reset(options={"state": s[None]})
-    places = [getattr(draw, f"{plane}_PLANE") for plane in order.split()]
-    for place, plane in enumerate(order.split()):
-        monkeypatch.setattr(draw, f"{plane}_PLANE", place)
-    with now(exported, game), modules_of(chrome, static) as page:
-        (told,) = json.loads(
-            page.evaluate(
-                PLAY, [f"rules/{name}.js", level.to_json(), knobs(game.variant(kind)), []]
-            )
-        )
-    assert base64.b64decode(told[1]) == seen[0][places].tobytes()
+def test_planes_have_the_order_of_python(chrome, static, exported, monkeypatch):
+    asked = []
+    for name, kind, order in PLANES:
+        game, draw = games.find(name), importlib.import_module(f"astray.games.{name}.draw")
+        variant = game.variant(kind)
+        (s,) = initial_states(game, variant, [3])
+        env = GameVectorEnv(name, kind, 1, observation="symbolic")
+        seen, _ = env.reset(options={"state": s[None]})
+        places = [getattr(draw, f"{plane}_PLANE") for plane in order.split()]
+        for place, plane in enumerate(order.split()):
+            monkeypatch.setattr(draw, f"{plane}_PLANE", place)
+        level = Level.of(game, variant, s).to_json()
+        asked.append(([f"rules/{name}.js", level, knobs(variant), []], seen[0][places]))
+    with now(exported, *(name for name, *_ in PLANES)), modules_of(chrome, static) as page:
+        for words, planes in asked:
+            (told,) = json.loads(page.evaluate(PLAY, words))
+            assert base64.b64decode(told[1]) == planes.tobytes(), words
 
 
 @contextmanager
-def now(exported, *games_):
-    """The exported page has the constants that Python has now, also in the kernels of `games_`."""
+def now(exported, *names):
+    """The exported page has the constants that Python has now, also in the planes of some games."""
     made = {constants.PATH: constants.module(), rules.SHARED: rules.shared()}
-    made |= {rules.path(game): rules.module(game).encode() for game in games_}
+    for game in map(games.find, names):
+        text = (exported / rules.path(game)).read_text()
+        made[rules.path(game)] = with_planes(game, *re.findall(r"await kernels\(.*\)", text))
     before = {path: (exported / path).read_bytes() for path in made}
     for texts in (made, before):
         for path, text in texts.items():
             (exported / path).write_bytes(text)
         if texts is made:
             yield
+
+
+def with_planes(game, kernels):
+    """The module of a game with `kernels` and, in place of theirs, those of planes as of now."""
+
+    def compiled(called):
+        planes = {name: one for name, one in called.items() if "planes" in name}
+        return f"{kernels}, ...{wasm.compiled(planes)}"
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rules, "compiled", compiled)
+        return rules.module(game).encode()
 
 
 def test_the_page_has_the_number_of_levels_and_the_size_of_the_thief_from_python(
