@@ -1,5 +1,6 @@
 """Pretrained agents: weights without the training's state, and a card about the agent's goals."""
 
+import functools
 import io
 import json
 import shutil
@@ -18,7 +19,7 @@ from astray.analysis.runs import evaluate_runs, open_run, shift_of
 from astray.analysis.tables import write_table
 from astray.estimate import Estimate
 from astray.experiments import catalogue
-from astray.experiments.spec import name_of_run
+from astray.experiments.spec import Size, name_of_run
 from astray.experiments.videos import write_video
 from astray.files import write_aside
 from astray.training import checkpoint, folders
@@ -142,8 +143,15 @@ def commands(config: Config) -> list[str]:
         for name in catalogue.NAMES
         for size, plan in catalogue.load(name).sizes.items()
         if any(one.game == config.game for one in plan.agents.values())
-        and any(its in map(name_of_run, configs) for configs in plan.trainings().values())
+        and its in _trained(name, size)
     ]
+
+
+@functools.cache
+def _trained(name: str, size: Size) -> set[str]:
+    """Return the names of the runs of an experiment of the catalogue."""
+    trainings = catalogue.load(name).sizes[size].trainings()
+    return {name_of_run(config) for configs in trainings.values() for config in configs}
 
 
 def _rows(variant: str, result: Result) -> Iterator[list[Any]]:

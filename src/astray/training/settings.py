@@ -1,5 +1,6 @@
 """Nested records of a training's settings, and their checks."""
 
+import functools
 import types
 import typing
 from dataclasses import dataclass
@@ -136,14 +137,20 @@ def check(record: Any) -> None:
             raise ValueError(f"{name} must be from {low} to {high}; got {shown(value)}")
 
 
-def _check_type(name: str, value: Any, kind: Any) -> None:
+@functools.cache
+def _kinds(kind: Any) -> tuple[type, ...]:
+    """Return the types that values of an annotated type may have, none for a Literal."""
     if typing.get_origin(kind) is Literal:
+        return ()
+    parts = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
+    kinds = tuple(typing.get_origin(part) or part for part in parts)
+    return (*kinds, int) if float in kinds else kinds
+
+
+def _check_type(name: str, value: Any, kind: Any) -> None:
+    if not (kinds := _kinds(kind)):
         one_of(name, value, kind)
         return
-    parts = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
-    kinds = [typing.get_origin(part) or part for part in parts]
-    if float in kinds:
-        kinds.append(int)
     is_number = type(value) in (int, float)  # as which none of 400 digits counts
     if type(value) not in kinds or (is_number and not abs(value) <= float_info.max):
         raise ValueError(f"{name} must be of type {kinds[0].__name__}; got {shown(value)}")
