@@ -90,10 +90,16 @@ def settle(s):
 
     Worlds that draw in their steps call it last when they make a level.
     """
+    seed_by(s, s.cell, s.mover)
+
+
+@kernel
+def seed_by(s, cell, mover):
+    """Seed the twister of `s` from a level's cells."""
     number = np.uint64(0)
-    for y in range(s.cell.shape[0]):
-        for x in range(s.cell.shape[0]):
-            number = mix_two(number, np.int64(s.cell[y, x]) + 256 * np.int64(s.mover[y, x]))
+    for y in range(cell.shape[0]):
+        for x in range(cell.shape[1]):
+            number = mix_two(number, np.int64(cell[y, x]) + 256 * np.int64(mover[y, x]))
     seed_twister(s, number)
 
 
