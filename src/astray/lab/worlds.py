@@ -13,7 +13,6 @@ import numpy as np
 
 from astray import games, grid
 from astray.acting import Asking, Onward, Policy, Step, Turn, initial_states, play
-from astray.analysis.policies import Walk
 from astray.analysis.replay import Script
 from astray.envs.beginnings import without_autoreset
 from astray.envs.vector import quickest
@@ -167,11 +166,8 @@ class Episode:
         world, asking = self.world, Asking(policy)
         shown = policy.observation or quickest(world.game)
         env = without_autoreset(world.game, world.variant, 1, shown, policy.art)
-        may_remember = getattr(policy, "caveat", "") and not isinstance(
-            getattr(policy, "policy", None), Walk
-        )
-        # It may remember nothing in the first of them, and something later.
-        for before in self.states[:-1] if may_remember else ():
+        # One with memory may remember nothing in the first of them, and something later.
+        for before in self.states[:-1] if getattr(policy, "caveat", "") else ():
             asking.send(0, 0, Turn.of(env, env.set_state(before)))
             asking.receive(0)
         onward = Onward(env, env.set_state(self.state))
