@@ -10,6 +10,7 @@ from astray.acting import initial_states
 from astray.agents.policy import Architecture
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
+from astray.insight.fields import states_at
 from astray.lab.export import check_exportable, export, table
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
@@ -87,6 +88,23 @@ def test_a_table_knows_a_level_by_its_other_object_too(chrome, untrained, tmp_pa
         assert page.evaluate(ask, [level.to_json(), agent])["value"]
         said = page.evaluate(ask, [moved.to_json(), agent])
         assert "it and its goal may be moved here, but nothing else" in said
+
+
+def test_a_table_has_the_place_of_the_other_object_over_which_an_agent_walks(untrained, tmp_path):
+    path = untrained(tmp_path / "run", SIGHTED, **IMAGES, variant="dish-small", validation=None)
+    game = games.find("maze")
+    agent, apart = Agent(path, "maze"), game.variant("dish-apart-small")
+    index, data = table(agent, game, apart, 3)
+    for number, told in enumerate(index["levels"]):
+        assert [*told["other"]] and {*told["other"]} <= {*told["places"]}
+        level = Level.of(game, apart, initial_states(game, apart, [number])[0])
+        (where,), (goal,) = level.where("other"), level.where("goal")
+        s = states_at(level, [where])
+        _, value = policy_and_value(agent, observe(agent, apart, s))
+        row = told["goals"][f"{goal[0]},{goal[1]}"] + told["places"].index(told["other"][0])
+        kept = np.frombuffer(data, np.uint8).reshape(-1, index["actions"] + 1)[row, -1]
+        step = (index["high"] - index["low"]) / index["one"]
+        assert abs(index["low"] + step * kept - value[0]) < step
 
 
 def _another(level):

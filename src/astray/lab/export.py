@@ -259,7 +259,9 @@ def table(
     levels, policies, values, rows = [], [], [], 0
     for s in initial_states(game, variant, range(count)):
         level = Level.of(game, variant, s)
-        cells = places(game, level.removed("goal").state(solvable=False)).tolist()
+        bare = level.removed("goal")
+        bare = bare.removed("other") if level.where("other") else bare  # it is walked over
+        cells = places(game, bare.state(solvable=False)).tolist()
         family = level.splay("goal")
         if len(family) * 2 * len(cells) * (len(game.actions) + 1) > most / count:
             family = [level]
