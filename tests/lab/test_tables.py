@@ -1,20 +1,24 @@
 """What agents that see images do is looked up: tables of it, and a page that reads them."""
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from astray import games
+from astray import games, grid
 from astray.acting import initial_states
 from astray.agents.policy import Architecture
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
 from astray.insight.fields import states_at
+from astray.lab.agents import Agents
 from astray.lab.export import check_exportable, export, table
 from astray.lab.serving import make_lab
-from astray.lab.session import Session
+from astray.lab.session import Lab, Session
 from astray.level import Level
+from helpers import moor
 from helpers.browsed import folder_served, opened, usual_lab, wait
 
 SIGHTED = Architecture("impala", (64, 64, 3), (), 15, widths=(4, 4, 4))
@@ -140,3 +144,16 @@ def test_an_agent_that_no_table_can_stand_for_is_refused(
     lab = make_lab(tmp_path / "run", {"level": 0})
     with pytest.raises(ValueError, match=f"{why}: there is no table of all that it may see"):
         check_exportable(lab, None, {})
+
+
+def test_a_world_of_a_guest_that_has_a_goal_is_no_maze(untrained, tmp_path, monkeypatch):
+    fields = grid.rules.state(moor.SIDE, moor.EVENTS, "stride", "goal_x", "goal_y")
+    rules = SimpleNamespace(**vars(moor) | {"STATE": fields})
+    fen = replace(moor.GAME, name="fen", rules=rules)
+    monkeypatch.setitem(games._registered, "fen", fen)
+    monkeypatch.setitem(grid._MADE, fen, grid.world_of(moor.GAME))
+    kind = {"observation": "image", "game": "fen", "variant": "walks", "validation": None}
+    untrained(tmp_path / "run", replace(SIGHTED, actions=5), **kind, network="impala")
+    lab = Lab(Agents.of({"sighted": tmp_path / "run"}), {"game": "maze"})
+    with pytest.raises(ValueError, match="sees images of fen: there is no table"):
+        check_exportable(lab, ["sighted"], {})

@@ -21,6 +21,7 @@ from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
 from astray.files import check_empty, folder_aside, write_aside
 from astray.game import Game, Variant
+from astray.games import maze
 from astray.insight.fields import states_at
 from astray.kernel.jit import entry
 from astray.kernel.rng import RNG_FIELDS, draw_u32, seed_twister
@@ -100,7 +101,7 @@ def check_exportable(
         games.find(game).variant(variant)
     for name, (agent, config) in opened.items():
         why = "has a memory" if agent.caveat else f"sees images of {config.game}"
-        is_tabled = not agent.caveat and "goal_x" in (config.find_game().state.names or ())
+        is_tabled = not agent.caveat and config.find_game() is maze.GAME
         if agent.architecture.name != COMPUTED and not is_tabled:
             raise ValueError(f"the agent {name!r} {why}: there is no table of all that it may see")
     return [*opened]
