@@ -226,6 +226,21 @@ def test_a_map_reads_each_cell_by_the_same_weights():
         cell_probes.fit(x, truth & False, levels)
     with pytest.raises(ValueError, match=r"got \(80, 6, 5, 5\), \(80, 4, 5\)"):
         cell_probes.fit(x, truth[:, 1:], levels)
+    with pytest.raises(ValueError, match=r"got \(80, 6, 5, 5\), \(80, 4, 5\)"):
+        found.score(x, truth[:, 1:], levels)
+
+
+@pytest.mark.parametrize("kind", [np.int64, np.float64, np.str_])
+def test_what_holds_in_a_cell_is_true_or_false_and_no_count(kind):
+    x = np.random.default_rng(0).normal(size=(20, 6, 5, 7))
+    truth, levels = x[:, 2] > 0, np.arange(20) // 2
+    found, told = cell_probes.fit(x, truth, levels), "the truth must be bool; got "
+    with pytest.raises(ValueError, match=told):
+        found.score(x, (2 * truth).astype(kind), levels)
+    with pytest.raises(ValueError, match=told):
+        cell_probes.fit(x, (2 * truth).astype(kind), levels)
+    with pytest.raises(ValueError, match=r"got \(20, 6, 5, 7\), \(20, 7, 5\)"):
+        found.score(x, truth.transpose(0, 2, 1), levels)
 
 
 def test_channels_at_a_cell_are_those_of_its_place(planner, states):

@@ -46,8 +46,9 @@ class CellProbe:
             levels: [N], levels of the states.
 
         Raises:
-            ValueError: If `truth` holds everywhere or nowhere.
+            ValueError: If the arrays do not go together, or `truth` holds everywhere or nowhere.
         """
+        _check(x, truth, levels)
         y = truth.reshape(-1).astype(np.int64)
         if not 0 < y.sum() < len(y):
             raise ValueError("a score needs cells of both kinds; all are of one")
@@ -74,11 +75,7 @@ def fit(x: np.ndarray, truth: np.ndarray, levels: np.ndarray, *, seed: int = 0) 
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
 
-    if x.ndim != 4 or truth.shape != (len(x), *x.shape[2:]) or len(levels) != len(x):
-        raise ValueError(
-            f"channels must be [N, C, H, W], the truth [N, H, W] and levels [N]; got {x.shape}, "
-            f"{truth.shape} and {np.shape(levels)}"
-        )
+    _check(x, truth, levels)
     flat, y = np.moveaxis(x, 1, -1).reshape(-1, x.shape[1]), truth.reshape(-1)
     _, which, counts = np.unique(levels, return_inverse=True, return_counts=True)
     chance = np.repeat(1 / counts[which], truth[0].size)
@@ -90,6 +87,16 @@ def fit(x: np.ndarray, truth: np.ndarray, levels: np.ndarray, *, seed: int = 0) 
         StandardScaler(), LogisticRegression(class_weight="balanced", max_iter=FITS, C=0.1)
     )
     return CellProbe(model.fit(flat[some], y[some]))
+
+
+def _check(x: np.ndarray, truth: np.ndarray, levels: np.ndarray) -> None:
+    if x.ndim != 4 or truth.shape != (len(x), *x.shape[2:]) or len(levels) != len(x):
+        raise ValueError(
+            f"channels must be [N, C, H, W], the truth [N, H, W] and levels [N]; got {x.shape}, "
+            f"{truth.shape} and {np.shape(levels)}"
+        )
+    if truth.dtype != np.bool_:
+        raise ValueError(f"the truth must be bool; got {truth.dtype}")
 
 
 def at_cells(agent: Model, variant: Variant, values: np.ndarray) -> np.ndarray:
