@@ -228,6 +228,17 @@ def test_differences_of_kinds_hold_the_truth_as_often_as_they_say(agents):
         assert 0.92 <= held <= most, (middle, spread, pooled, held)
 
 
+@pytest.mark.parametrize("agents", [2, 3, 5])
+def test_agents_that_differ_more_than_those_of_other_kinds_are_covered_less_often(agents):
+    """As docs/evaluation.md says: a pool says how much they differ if all kinds differ alike."""
+    random = np.random.default_rng([agents, 5])
+    spread = np.array([1.2, *[SMALL] * 4])[:, None, None]
+    chance = expit(HALF + random.normal(0, 1, (TIMES, 5, agents, 1)) * spread)
+    kinds = random.random((TIMES, 5, agents, LEVELS)) < chance
+    found, truth = [estimate_mean(one[0], pool=[*one]) for one in kinds], expected(HALF, 1.2)
+    assert 0.78 <= np.mean([one.low <= truth <= one.high for one in found]) <= 0.92
+
+
 @pytest.mark.parametrize("agents", [5, 8])
 def test_kinds_that_nearly_all_succeed_and_differ_widely_are_told_apart_too_often(agents):
     """As for a single kind, a rare agent that often fails is hardly ever among few."""

@@ -150,7 +150,7 @@ def test_a_feature_of_equal_reals_is_refused(caused):
 
 
 @pytest.mark.parametrize("area", [0.7, 0.9, 0.95, 0.98, 0.995])
-@pytest.mark.parametrize("true, false", [(10, 10), (5, 45), (25, 25)])
+@pytest.mark.parametrize("true, false", [(10, 10), (5, 45), (25, 25), (6, 294)])
 def test_intervals_of_areas_hold_the_truth_as_often_as_they_say(area, true, false):
     """Those of resampled levels held 0.98 in 54 of 100 samples of 20, and had no width in 46."""
     random, apart = np.random.default_rng(0), np.sqrt(2) * ndtri(area)
@@ -159,7 +159,7 @@ def test_intervals_of_areas_hold_the_truth_as_often_as_they_say(area, true, fals
         found = behaviour._area(placements(y, random.normal(size=len(y)) + apart * y))
         assert found.low < found.high
         hits += found.low <= area <= found.high
-    assert hits / times > 0.92
+    assert hits / times > (0.92 if false < 294 else 0.83), "as docs/evaluation.md says"
 
 
 def test_intervals_of_coefficients_hold_weak_effects_of_few_levels():

@@ -128,6 +128,18 @@ def test_a_score_holds_the_truth_where_a_class_is_in_few_levels(count, few):
     assert np.mean(some) >= 0.92
 
 
+@pytest.mark.parametrize("count", [5, 20])
+def test_numbers_of_few_levels_that_differ_are_covered_less_often(count):
+    """As docs/evaluation.md says."""
+    random, levels = np.random.default_rng(count), np.repeat(np.arange(count), 20)
+    of_levels = random.normal(0, [[3], [1]], (500, 2, count))
+    within = random.normal(0, 1, (2, 500, len(levels)))
+    y = of_levels[:, 0, levels] + within[0]
+    told = y + of_levels[:, 1, levels] + within[1] / 2
+    found = [probes.score(*both, levels) for both in zip(y, told, strict=True)]
+    assert 0.84 <= np.mean([one.low <= 1 - 1.25 / 10 <= one.high for one in found]) <= 0.95
+
+
 def test_what_a_network_gains_is_less_certain_where_a_class_is_in_few_levels(monkeypatch):
     random = np.random.default_rng(1)
     levels = np.repeat(np.arange(60), 20)
