@@ -146,6 +146,18 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
+def test_of_two_exports_to_one_folder_the_later_is_told_that_there_is_one(tmp_path):
+    def slow(seen):  # another one is done meanwhile
+        (tmp_path / "walks").mkdir(exist_ok=True)
+        (tmp_path / "walks" / "mine").touch()
+        return np.full(len(seen), 7)
+
+    policy = astray.Function(slow, observation="symbolic")
+    with pytest.raises(ValueError, match="new folder; there is something at"):
+        dataset.export(policy, "maze", "corner-small", [5], tmp_path / "walks")
+    assert [path.name for path in tmp_path.rglob("*")] == ["walks", "mine"]
+
+
 def test_an_interrupted_export_leaves_nothing(tmp_path):
     class Interrupted(Random):
         def actions(self, turn):

@@ -137,9 +137,7 @@ def export(
     check_policy(policy)
     count_levels(levels)
     one_of("format", form, Format)
-    folder = path_of("folder", folder)
-    if os.path.lexists(folder):
-        raise ValueError(f"a data set is written to a new folder; there is something at {folder}")
+    _check_new(folder := path_of("folder", folder))
     game = world.find(game)
     given: Any = variant
     of: Any = game.variant(given)
@@ -158,8 +156,17 @@ def export(
     with folder_aside(folder) as aside:
         played = trajectories(policy, game, of, levels, batch=batch, longest=longest)
         write(played, game, of, about, aside)
-        os.replace(aside, folder)
+        try:
+            os.replace(aside, folder)
+        except OSError:
+            _check_new(folder)  # another export was sooner
+            raise
     return folder
+
+
+def _check_new(folder: Path) -> None:
+    if os.path.lexists(folder):
+        raise ValueError(f"a data set is written to a new folder; there is something at {folder}")
 
 
 def write_parquet(
