@@ -134,7 +134,7 @@ def test_the_largest_difference_of_many_pairs_has_an_interval_for_the_largest():
         episodes = table.with_columns(outcome=outcome)
         rates = pl.DataFrame({"levels_played": ["all"]})
         told = _answer(paired(Result(rates, episodes, (), shift), [*names]), shift)
-        found = re.match(r"(.) mis.* than (.):.* interval (\S+) to (\S+), as the", told).groups()
+        found = re.match(r"(.) \w+ .*than (.):.* interval (\S+) to (\S+), as", told).groups()
         more, less = (chance[names.index(one)] for one in found[:2])
         held.append(float(found[2]) <= 100 * (more - less) <= float(found[3]))
     assert np.mean(held) >= 0.92
