@@ -194,11 +194,13 @@ def test_an_actor_of_torchrl_plays_as_by_hand(recurrent, one_hot):
     assert played(policy, 3) == played(policy, 256) == hand
 
 
-def test_an_actor_of_torchrl_is_asked_in_evaluation_mode():
+def test_an_actor_of_torchrl_is_asked_in_evaluation_mode_and_is_then_as_it_was():
     actor = actor_of_torchrl(False, False)
-    actor.module[0].module.append(nn.Dropout(0.5))
+    actor.module[0].module.append(nn.Dropout(0.5)).append(frozen := nn.Dropout(0.5))
     policy = from_torchrl(actor.train(), greedy=True)
+    frozen.eval()
     assert played(policy, 3) == played(policy, 3)
+    assert actor.training and actor.module[0].module[-2].training and not frozen.training
 
 
 def test_a_network_plays_its_likeliest_action_or_draws_it_whatever_the_batch():
@@ -238,15 +240,15 @@ class Kept(Recurrent):
     "module, ask",
     [(Kept(), None), (nn.Dropout(), lambda net, x: net(torch.ones(len(x), 200))[:, :2])],
 )
-def test_a_network_that_is_trained_in_the_meantime_plays_without_dropout(module, ask):
-    network = Network(module, SPACE, ask=ask)
+def test_a_network_amid_a_training_plays_without_dropout_and_is_then_trained_with_it(module, ask):
+    network = Network(module.eval(), SPACE, ask=ask)
     before = played(network, 4)
+    assert not module.training
     module.train()
-    assert played(network, 4) == before
-    module.train()
+    assert played(network, 4) == before and module.training
     seen = np.zeros((3, *SPACE.shape), np.float32)
     assert network.outputs(seen, episode=True)[0].unique(dim=0).shape == (1, 2)
-    assert not module.training
+    assert module.training
 
 
 def averaged(agent, seen):

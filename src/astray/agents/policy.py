@@ -145,6 +145,18 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
         return network.to(device).eval(), architecture
 
 
+@contextlib.contextmanager
+def evaluating(network: nn.Module) -> Iterator[nn.Module]:
+    """Put a module into evaluation mode, and afterwards its parts back into training mode."""
+    parts = [part for part in network.modules() if part.training]
+    network.eval()
+    try:
+        yield network
+    finally:
+        for part in parts:
+            part.training = True
+
+
 def hollow(architecture: Architecture, build: Any = Architecture.build) -> nn.Module:
     """Build a network without memory for its weights, unless its own code reads numbers."""
     try:

@@ -1,5 +1,6 @@
 """Adapters: functions, models of other libraries, and running trainings as policies."""
 
+import contextlib
 import inspect
 import sys
 from collections.abc import Callable
@@ -161,7 +162,7 @@ def from_torchrl(
     """Make a policy of a TorchRL actor that reads "observation", "is_init" and writes "action".
 
     The entries that it writes under "next", as recurrent modules do, are its memory. It is asked in
-    evaluation mode.
+    evaluation mode, and is then as it was.
 
     Args:
         greedy: Take the most likely action instead of drawing one.
@@ -174,9 +175,10 @@ def from_torchrl(
 
         told: Any = {"observation": seen, "is_init": begins[:, None], **(memory or {})}
         drawn = InteractionType.DETERMINISTIC if greedy else InteractionType.RANDOM
-        evaluating = actor.eval() if isinstance(actor, torch.nn.Module) else actor
-        with torch.no_grad(), set_interaction_type(drawn):
-            said = evaluating(TensorDict(told, [len(begins)]))
+        is_module = isinstance(actor, torch.nn.Module)
+        mode = trained.evaluating(actor) if is_module else contextlib.nullcontext()
+        with torch.no_grad(), set_interaction_type(drawn), mode:
+            said = actor(TensorDict(told, [len(begins)]))
         action = said["action"].argmax(-1) if one_hot else said["action"]
         return action.numpy(force=True), dict(said.get("next", {}).items()) or None
 

@@ -75,7 +75,8 @@ def recalled(
     shown, begins = (torch.from_numpy(x).to(device) for x in (turn.observations, turn.begins))
     none = torch.zeros((len(shown), network.memory), device=device)
     state = none if turn.memory is None else torch.where(begins[:, None], none, turn.memory)
-    logits, _, state = policy.outputs(network.eval().recall, shown, chunk, state, begins)
+    with policy.evaluating(network):
+        logits, _, state = policy.outputs(network.recall, shown, chunk, state, begins)
     return logits, state
 
 
@@ -86,8 +87,8 @@ def in_order(
     seen = torch.from_numpy(observations).to(device)[:, None]
     begins = torch.arange(len(seen), device=device)[:, None] == 0
     state = torch.zeros((1, network.memory), device=device)
-    with torch.no_grad():
-        logits, values, _ = network.eval().unroll(seen, state, begins)
+    with torch.no_grad(), policy.evaluating(network):
+        logits, values, _ = network.unroll(seen, state, begins)
     return logits[:, 0], values[:, 0]
 
 
@@ -240,8 +241,8 @@ class Network:
 
     Attributes:
         network: Module that returns logits [N, A] for observations [N, ...], or a tuple of logits
-            and values [N]. It is asked in evaluation mode. A `Recurrent` one, without `ask`, has a
-            memory, and remembers along an episode.
+            and values [N]. It is asked in evaluation mode, and is then as it was. A `Recurrent`
+            one, without `ask`, has a memory, and remembers along an episode.
         space: Space of one observation.
         game: Game or `World` that it plays, for analyses that play it.
         ask: Function (network, observations) -> logits, or logits and values, if a call of the
@@ -268,7 +269,6 @@ class Network:
         of_kind("network", self.network, torch.nn.Module)
         of_kind("space", self.space, Box)
         one_of("mode", self.mode, Literal["sampled", "greedy"])
-        self.network.eval()
 
     @property
     def caveat(self) -> str:
@@ -285,9 +285,9 @@ class Network:
             ValueError: If the network returns anything else.
         """
         told = f"{self.name}, asked about {observations.dtype} {list(observations.shape)},"
-        with guarded(told, ValueError, ImportError):
-            # It may have been trained in the meantime, in which dropout is on.
-            given = (self.ask or torch.nn.Module.__call__)(self.network.eval(), observations)
+        # It may be amid a training, in which dropout is on.
+        with guarded(told, ValueError, ImportError), policy.evaluating(self.network) as network:
+            given = (self.ask or torch.nn.Module.__call__)(network, observations)
         parts: tuple[Any, ...] = given if isinstance(given, tuple) else (given,)
         n = len(observations)
         sizes = [list(getattr(part, "shape", ())) for part in parts]

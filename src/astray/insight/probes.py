@@ -111,7 +111,7 @@ def untrained(agent: AnyModel, seed: int) -> AnyModel:
     with torch.random.fork_rng(devices=[]), defaults("cpu"):
         torch.manual_seed(seed)
         if isinstance(agent, Agent):
-            other.network = agent.architecture.build().to(agent.device)
+            other.network = agent.architecture.build().to(agent.device).eval()
         else:
             other.network = copy.deepcopy(agent.network)
             for name, module in other.network.named_modules():
