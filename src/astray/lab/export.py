@@ -40,6 +40,11 @@ OF_NO_LEVEL = ("level", "seed", "turn", "gap")  # fields that are not of a level
 TABLE = 2**21  # bytes of an agent's table, at most
 COMPUTED = "mlp"  # the network that the page computes
 CERTAIN = 255  # a byte that is a probability of 1
+# Fields of a maze that images show, beside its cells.
+SEEN = (
+    "background", "background_offset", "walls", "window", "goal_shape", "goal_colour",
+    "other_shape", "other_colour",
+)  # fmt: skip
 NOTE = (
     "This page has no Python behind it. Levels, rules, arrows, episodes, splays and the posterior "
     "over goals are computed in the browser, by the same rules and the same network. The odds that "
@@ -251,8 +256,8 @@ def table(
 
     A row is the policy [A] and the value, one byte each: of an agent that faces left in all its
     places, then of one that faces right. If all places of the goal would take more than `most`
-    bytes divided by `count`, a level has only the goal's own place. ValueError is raised if the
-    agent cannot see such levels.
+    bytes divided by `count`, a level has only the goal's own place. All have answers without the
+    goal, as after it was reached. ValueError is raised if the agent cannot see such levels.
     """
     bounded("levels", count, 1, MOST)
     if not sees(agent, game, variant):
@@ -264,12 +269,11 @@ def table(
         bare = bare.removed("other") if level.where("other") else bare  # it is walked over
         cells = places(game, bare.state(solvable=False)).tolist()
         family = level.splay("goal")
-        if len(family) * 2 * len(cells) * (len(game.actions) + 1) > most / count:
+        if (len(family) + 1) * 2 * len(cells) * (len(game.actions) + 1) > most / count:
             family = [level]
         goals = {}
-        for one in family:
-            (where,) = one.where("goal")
-            goals[f"{where[0]},{where[1]}"] = rows
+        for one in [*family, level.removed("goal")]:
+            goals["".join(f"{x},{y}" for x, y in one.where("goal")) or "none"] = rows
             states = states_at(one, cells * 2)
             states["faces_right"] = np.arange(len(states)) >= len(cells)
             policy, value = policy_and_value(agent, observe(agent, variant, states))
@@ -280,7 +284,7 @@ def table(
             {
                 # Cells, the lowest row first, with "#" for walls.
                 "walls": re.sub(r"[^#\n]", ".", "\n".join(reversed(str(level).split("\n")))),
-                "looks": dict(level.looks),
+                "looks": [s[name].item() for name in SEEN],
                 "other": [f"{x},{y}" for x, y in level.where("other")],
                 "places": [f"{x},{y}" for x, y in cells],
                 "goals": goals,
@@ -296,7 +300,7 @@ def table(
     data[tied, best[tied]] += 1
     data[:, -1] = np.round(CERTAIN * (value - low) / spread)
     numbers = {"actions": len(game.actions), "one": CERTAIN, "low": low, "high": high}
-    return {**numbers, "levels": levels}, data.tobytes()
+    return {**numbers, "seen": SEEN, "levels": levels}, data.tobytes()
 
 
 def _write(path: Path, data: Any) -> None:

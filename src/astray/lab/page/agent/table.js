@@ -2,7 +2,7 @@
 //
 // For some levels, and in them for every place of the goal and of the agent, facing left or right,
 // its policy and value were computed beforehand, a byte for each probability. A level is known by
-// what else images show, its walls, its floor and its other object: one that was edited has no number.
+// what else images show, its walls, its looks and its other object: one that was edited has no number.
 
 import { NEVER, WALL, world } from "../rules/common.js";
 
@@ -10,20 +10,20 @@ import { NEVER, WALL, world } from "../rules/common.js";
 export async function readTable(file, about) {
   const index = await file(about.path);
   const bytes = new Uint8Array(await file(about.bytes, "bytes"));
-  const { actions, low, high, one: most } = index; // most: the byte of a probability of 1
-  const key = (walls, background, offset, other) => [walls, background, offset, other].join(" ");
-  const levels = new Map(index.levels.map(({ walls, looks, other, ...level }) =>
-    [key(walls, looks.background, looks.background_offset, other), level]));
+  const { actions, low, high, seen, one: most } = index; // most: the byte of a probability of 1
+  const key = (walls, looks, other) => [walls, ...looks, other].join(" ");
+  const levels = new Map(index.levels.map(({ walls, looks, other, ...level }) => [key(walls, looks, other), level]));
   return (s) => {
     const walls = world(s, s.cell).map((row) => row.map((what) => (what === WALL ? "#" : ".")).join(""));
     const other = s.other_x === NEVER ? "" : `${s.other_x},${s.other_y}`;
-    const level = levels.get(key(walls.join("\n"), s.background, s.background_offset, other));
+    const level = levels.get(key(walls.join("\n"), seen.map((name) => s[name]), other));
     if (!level) {
       throw new Error("this agent's answers were computed beforehand, for levels as they are " +
         "numbered: it and its goal may be moved here, but nothing else; with Python all may: " +
         "astray lab");
     }
-    const goal = s.goal_x === NEVER ? "none" : `${s.goal_x},${s.goal_y}`;
+    const gone = s.goal_x === NEVER || s.reached_goal !== NEVER;
+    const goal = gone ? "none" : `${s.goal_x},${s.goal_y}`;
     const rows = level.goals[goal];
     const row = level.places.indexOf(`${Math.floor(s.x)},${Math.floor(s.y)}`);
     if (rows === undefined || row < 0) {
