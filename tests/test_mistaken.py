@@ -104,10 +104,10 @@ def test_a_misspelt_word_is_no_other_word(misspelt):
         (lambda: measure_online(WALK, switch="1/t"), r"not '1/\(t\+1\)', must be a finite number"),
         (
             lambda: Config(learning_rate=float("inf")),
-            "learning_rate must be of type float; got inf",
+            "learning_rate must be of type float, finite; got inf",
         ),
-        (lambda: Config(learning_rate=10**400), "learning_rate must be of type float; got 1000"),
-        (lambda: Config(clip=float("nan")), "clip must be of type float; got nan"),
+        (lambda: Config(learning_rate=10**400), "type float, finite; got 1000"),
+        (lambda: Config(clip=float("nan")), "clip must be of type float, finite; got nan"),
         (lambda: replace(SMALL, time_limit=5.5), "time_limit must be an integer from"),
         (lambda: replace(SMALL, time_limit=True), "time_limit must be an integer"),
         (lambda: replace(SMALL, time_limit=10**30), r"time_limit must be an integer"),

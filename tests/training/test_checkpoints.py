@@ -359,7 +359,7 @@ def test_settings_that_are_none_are_refused(run, text):
     [
         ({"gamma": 1.5}, "gamma must be from 0 to 1; got 1.5"),
         ({"learning_rate": -1.0}, "learning_rate must be from 0 to 1e.38; got -1.0"),
-        ({"learning_rate": float("nan")}, "learning_rate must be of type float; got nan"),
+        ({"learning_rate": float("nan")}, "learning_rate must be of type float, finite; got nan"),
         ({"device": "tpu"}, "unknown device 'tpu'; there are: cpu, cuda, mps"),
         ({"steps": 1e6}, "steps must be of type int; got 1000000.0"),
         ({"anneal": 1}, "anneal must be of type bool; got 1"),

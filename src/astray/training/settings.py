@@ -153,4 +153,5 @@ def _check_type(name: str, value: Any, kind: Any) -> None:
         return
     is_number = type(value) in (int, float)  # as which none of 400 digits counts
     if type(value) not in kinds or (is_number and not abs(value) <= float_info.max):
-        raise ValueError(f"{name} must be of type {kinds[0].__name__}; got {shown(value)}")
+        finite = ", finite" * (is_number and type(value) in kinds)
+        raise ValueError(f"{name} must be of type {kinds[0].__name__}{finite}; got {shown(value)}")
