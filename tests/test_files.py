@@ -277,6 +277,23 @@ def test_a_folder_or_pipe_in_the_place_of_a_file_is_told_before_the_work(make, w
         check_free(tmp_path, "plan.json", b"ours", names)
 
 
+@pytest.mark.parametrize(
+    "name, is_ours", [("figures", True), ("computed", True), ("computed", False)]
+)
+def test_a_file_in_the_place_of_a_folder_is_told_before_the_work(name, is_ours, tmp_path):
+    if is_ours:
+        (tmp_path / "plan.json").write_text("it is ours")
+    names = ("figures", "report.html")
+    (tmp_path / "computed").mkdir()
+    check_free(tmp_path, "plan.json", b"ours", names, ("computed",))
+    (tmp_path / "computed").rmdir()
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(
+        NotADirectoryError, match=f"{name} must be a folder to write to; it is a file"
+    ):
+        check_free(tmp_path, "plan.json", b"ours", names, ("computed",))
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, OSError])
 def test_nothing_is_left_beside_a_file_that_was_not_written(tmp_path, monkeypatch, error):
     (tmp_path / "a").write_bytes(b"old")

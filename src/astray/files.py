@@ -253,15 +253,22 @@ def holds_only(folder: Path, names: Collection[str]) -> bool:
     )
 
 
-def check_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> None:
+def check_free(
+    folder: Path, mark: str, sign: bytes, names: Collection[str], folders: Collection[str] = ()
+) -> None:
     """Raise OSError if `folder` holds files of these `names` but is not one of astray's folders.
 
     Args:
         mark: Name of the file that marks a folder of astray's.
         sign: Contents that only astray writes to that file.
+        folders: Names of further folders, which may be there before the mark.
     """
     check_own(folder / mark)
-    if (folder / mark).exists():
+    is_ours = (folder / mark).exists()
+    for name in (*folders, *(name for name in names if is_ours and not Path(name).suffix)):
+        if (folder / name).is_file():
+            raise NotADirectoryError(f"{folder / name} must be a folder to write to; it is a file")
+    if is_ours:
         if sign not in read(folder / mark):
             raise OSError(f"{folder / mark} was not written by astray; it would be replaced")
         inside = (path for name in names for path in (folder / name).glob("**/*"))

@@ -96,7 +96,7 @@ def reproduce(
         raise ValueError(f"the usual findings are of two tests, {told} {[*plan.tests]}")
     if track:
         check_installed(track)
-    check_free(folder, PLAN, b'"sources"', report.WRITTEN)
+    check_free(folder, PLAN, b'"sources"', report.WRITTEN, (report.COMPUTED, "videos"))
     given = experiment if isinstance(experiment, str) else name
     heading = report.Heading(
         name=name,
