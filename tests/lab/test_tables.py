@@ -143,6 +143,15 @@ def test_a_table_has_the_place_of_the_other_object_over_which_an_agent_walks(unt
         assert abs(index["low"] + step * kept - value[0]) < step
 
 
+def test_a_table_has_a_goal_that_lies_on_its_dish(untrained, tmp_path):
+    path = untrained(tmp_path / "run", SIGHTED, **IMAGES, variant="dish-small", validation=None)
+    game = games.find("maze")
+    variant = game.variant("dish-small")
+    (told,) = table(Agent(path, "maze"), game, variant, 1)[0]["levels"]
+    s = initial_states(game, variant, [0])[0]
+    assert [*told["goals"]] == [*told["other"], "none"] == [f"{s.goal_x},{s.goal_y}", "none"]
+
+
 def _another(level):
     """The last cell but its own that the goal could be in."""
     return [one.where("goal")[0] for one in level.splay("goal")][-1]

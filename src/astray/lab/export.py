@@ -31,7 +31,7 @@ from astray.lab.server import files
 from astray.lab.session import FORMAT, Lab, about_game, drawings
 from astray.lab.worlds import is_played
 from astray.level import Level
-from astray.record import record_dtype
+from astray.record import NEVER, record_dtype
 from astray.training.config import Config
 from astray.validation import MOST, bounded, of_kind, path_of
 
@@ -265,16 +265,20 @@ def table(
     levels, policies, values, rows = [], [], [], 0
     for s in initial_states(game, variant, range(count)):
         level = Level.of(game, variant, s)
-        bare = level.removed("goal")
-        bare = bare.removed("other") if level.where("other") else bare  # it is walked over
+        bare = level
+        for name in filter(level.where, game.editing.OBJECTS):  # which are walked over
+            bare = bare.removed(name)
         cells = places(game, bare.state(solvable=False)).tolist()
-        family = level.splay("goal")
+        family = level.splay("goal") if level.where("goal") else [level]
         if (len(family) + 1) * 2 * len(cells) * (len(game.actions) + 1) > most / count:
             family = [level]
         goals = {}
-        for one in [*family, level.removed("goal")]:
-            goals["".join(f"{x},{y}" for x, y in one.where("goal")) or "none"] = rows
-            states = states_at(one, cells * 2)
+        for one in [*family, None]:
+            states = states_at(one or level, cells * 2)
+            if one is None:  # then it is gone
+                states["goal_x"] = states["goal_y"] = NEVER
+            x, y = states[["goal_x", "goal_y"]][0].item()
+            goals["none" if x == NEVER else f"{x},{y}"] = rows
             states["faces_right"] = np.arange(len(states)) >= len(cells)
             policy, value = policy_and_value(agent, observe(agent, variant, states))
             policies.append(policy)
@@ -285,7 +289,7 @@ def table(
                 # Cells, the lowest row first, with "#" for walls.
                 "walls": re.sub(r"[^#\n]", ".", "\n".join(reversed(str(level).split("\n")))),
                 "looks": [s[name].item() for name in SEEN],
-                "other": [f"{x},{y}" for x, y in level.where("other")],
+                "other": [] if s.other_x == NEVER else [f"{s.other_x},{s.other_y}"],
                 "places": [f"{x},{y}" for x, y in cells],
                 "goals": goals,
             }
