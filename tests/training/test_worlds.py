@@ -282,11 +282,36 @@ def test_a_process_that_dies_or_hangs_ends_a_training_with_a_sentence(trouble, s
         next(iterate(replace(SMALL, game=world, validation=None)))
 
 
-def test_where_levels_do_not_repeat_a_resumed_training_begins_episodes_anew(tmp_path):
-    loose = replace(WORLD, name="loose", repeats=False)
+class Stream(Room):
+    """A Room that chooses its levels itself, by the number of its stream."""
+
+    def __init__(self, stream=0):
+        super().__init__()
+        self.numbers = np.random.default_rng(stream)
+
+    def reset(self, *, seed=None, options=None):
+        seen, _ = super().reset(seed=(level := int(self.numbers.integers(99))))
+        return seen, {"number": level}
+
+
+@pytest.mark.parametrize(
+    "more, said",
+    [
+        ({}, "the episodes begin anew, so the training is another"),
+        (
+            {"level_key": "number", "variants": {"end": Stream, "anywhere": Stream}},
+            "the episodes begin anew, in the first levels of their streams",
+        ),
+    ],
+)
+def test_where_levels_do_not_repeat_a_resumed_training_begins_anew_and_says_so(
+    more, said, tmp_path
+):
+    loose = replace(WORLD, name="loose", repeats=False, **more)
     config = replace(SMALL, game=loose)
     next(iterate(config, tmp_path))
-    resumed = next(iterate(config, tmp_path))
+    with pytest.warns(UserWarning, match=said):
+        resumed = next(iterate(config, tmp_path))
     assert resumed.number == 2
 
 

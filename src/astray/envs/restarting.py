@@ -1,6 +1,7 @@
 """Environments of a `World` to train in, as `GameVectorEnv` is for games."""
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -170,7 +171,7 @@ class Restarting:
     def restore(self, states: np.ndarray, turns: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """Replay episodes: states [N], turns [N], actions [steps] -> their observations [N, ...].
 
-        If levels do not repeat, the episodes begin anew.
+        If levels do not repeat, the episodes begin anew, and a warning says so.
 
         Raises:
             ValueError: If an episode differs from before.
@@ -179,6 +180,12 @@ class Restarting:
         lengths = states["time"].astype(int)
         self._taken = [part.tolist() for part in np.split(actions, np.cumsum(lengths)[:-1])]
         if not self.game.repeats:
+            again = ", in the first levels of their streams" if self.game.level_key else ""
+            warnings.warn(
+                f"levels of {self._env.variant} do not repeat: the episodes begin anew{again}, so "
+                "the training is another than one that was not stopped",
+                stacklevel=2,
+            )
             self._taken, lengths = [[] for _ in lengths], np.zeros_like(lengths)
         begin = {"level": states["level"], "reset_mask": np.ones(len(states), bool)}
         seen, _ = self._env.reset(options=begin)
