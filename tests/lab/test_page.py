@@ -342,6 +342,37 @@ def test_panels_are_in_two_columns_beside_the_board_of_a_wide_window(chrome, sta
         assert len({left for left in page.evaluate(lefts) if left}) == 2
 
 
+def test_answers_that_come_late_are_not_shown_as_of_what_is_there_now(page):
+    """As places of a sampled splay were added to what was shown as greedy, and counted."""
+    found = page.evaluate(
+        """async () => {
+          const { engine } = lab, { ask } = engine;
+          let answer;
+          engine.ask = (message, heard) => (["splay", "route", "reading"].includes(message.kind)
+            ? new Promise((done) => { answer = done; }) : ask.call(engine, message, heard));
+          const told = {
+            askSplay: { cells: [[1, 1]], outcomes: [{ cheese: 1 }], of: 2 },
+            askRoute: { cells: [[1, 1], [1, 2]], takes: null, steps: null },
+            askReading: { rows: [], states: 9 },
+          };
+          const shown = () => [lab.splay.size > 0, Boolean(lab.way), !lab.part("readings").hidden];
+          const found = [];
+          for (const changes of [false, true]) {
+            for (const name of Object.keys(told)) {
+              const asked = lab[name]();
+              if (changes) await lab.refresh();
+              answer(told[name]);
+              await asked;
+            }
+            found.push(shown());
+          }
+          engine.ask = ask;
+          return found;
+        }"""
+    )
+    assert found == [[True] * 3, [False] * 3]
+
+
 def test_a_splay_is_shown_with_counts(page):
     show(page, ROOM)
     page.evaluate("lab.panels.status = (what) => { (lab.said ??= []).push(what); }")

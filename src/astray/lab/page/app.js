@@ -198,7 +198,8 @@ export class Lab {
       if (this.changing !== mine) return;
       this.broken = true;
       this.#clear();
-      this.goals = this.way = null;
+      this.goals = null;
+      this.#elsewhere();
       this.panels.problem(error.message);
       this.stage.redraw();
     }
@@ -223,7 +224,7 @@ export class Lab {
 
   // Ask anew for all that depends on level, agent and episode.
   async refresh() {
-    this.way = null;
+    this.#elsewhere();
     this.stage.redraw();
     this.panels.edited();
     if (this.links) {
@@ -392,11 +393,18 @@ export class Lab {
   // Show the state after so many steps; `think` is asked for once it stays.
   show(step) {
     this.now = Math.min(Math.max(step, 0), this.episode.actions.length);
-    this.way = null; // it began in another state
+    this.#elsewhere();
     this.panels.routed();
     this.panels.played();
     this.panels.pursued();
     this.stage.redraw();
+  }
+
+  // Forget what began in another state, or was asked there.
+  #elsewhere() {
+    this.way = null;
+    this.here = Symbol("state");
+    this.panels.unread();
   }
 
   async go(step) {
@@ -410,7 +418,9 @@ export class Lab {
     const cell = at ? at.split(",").map(Number) : null;
     const draws = Number(this.part("draws").value);
     this.splay.clear();
+    const mine = (this.splaying = Symbol("splay"));
     const add = ({ cells, outcomes, of }) => {
+      if (this.splaying !== mine) return; // it was of another level, agent or mode
       cells.forEach((where, k) => {
         this.splay.set(String(where), { cell: where, outcomes: outcomes[k] });
       });
@@ -425,14 +435,18 @@ export class Lab {
   async askReading() {
     const question = this.question("reading", { actions: this.actions, layer: this.part("probed").value });
     this.panels.status("Fitting probes …");
-    await this.tried(() => this.#ask(question, (part) => this.panels.read(part)));
+    const { here } = this;
+    await this.tried(() => this.#ask(question, (part) => here === this.here && this.panels.read(part)));
     this.panels.status("connected");
   }
 
   async askRoute() {
     const goal = this.part("goal").value;
     const question = this.question("route", { goal, actions: this.actions });
-    this.way = await this.tried(() => this.engine.ask(question));
+    const { here } = this;
+    const way = await this.tried(() => this.engine.ask(question));
+    if (here !== this.here) return;
+    this.way = way;
     this.panels.routed();
     this.stage.redraw();
   }

@@ -124,7 +124,7 @@ export class Panels {
       part("layers").value || late?.[0]);
     options(part("probed"), layers.map(([name]) => [name, name]), part("probed").value || late?.[0]);
     part("probing").hidden = !layers.length || !lab.rules.labels;
-    part("readings").hidden = true;
+    this.unread();
     options(part("compare"), [
       ["", "nothing"], ["level", "the level as it was"],
       ...others.map(([name]) => [`agent ${name}`, `agent ${name}`]),
@@ -440,6 +440,7 @@ export class Panels {
   #unsplay() {
     const { lab, part } = this;
     lab.splay.clear();
+    lab.splaying = null;
     part("counts").replaceChildren();
     part("unsplay").hidden = true;
     lab.stage.redraw();
@@ -452,6 +453,10 @@ export class Panels {
     part("taking").textContent = !way ? "" : way.takes
       ? `It takes what is at (${way.takes[0].slice(0, 2).join(", ")}) first, after ${way.steps} steps.`
       : `${way.cells.length - 1} steps; it takes nothing.`;
+  }
+
+  unread() {
+    this.part("readings").hidden = true;
   }
 
   // The labels that probes read from the state, beside the true ones.
