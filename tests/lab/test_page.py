@@ -355,22 +355,32 @@ def test_answers_that_come_late_are_not_shown_as_of_what_is_there_now(page):
             askRoute: { cells: [[1, 1], [1, 2]], takes: null, steps: null },
             askReading: { rows: [], states: 9 },
           };
-          const shown = () => [lab.splay.size > 0, Boolean(lab.way), !lab.part("readings").hidden];
-          const found = [];
-          for (const changes of [false, true]) {
+          const shown = () => lab.splay.size > 0 || Boolean(lab.way)
+            || !lab.part("readings").hidden;
+          const found = [[], []];
+          for (const changes of [0, 1]) {
             for (const name of Object.keys(told)) {
+              await lab.refresh();
               const asked = lab[name]();
               if (changes) await lab.refresh();
               answer(told[name]);
               await asked;
+              found[changes].push(shown());
             }
-            found.push(shown());
           }
           engine.ask = ask;
           return found;
         }"""
     )
     assert found == [[True] * 3, [False] * 3]
+
+
+def test_the_seed_that_is_shown_is_the_one_that_is_drawn_by(page):
+    page.locator("[data-lab=seed]").fill("5000")
+    page.locator("[data-lab=seed]").press("Enter")
+    wait(page, "lab.part('seed').value === '999' && lab.seed === 999")
+    page.locator("[data-lab=seed]").fill("0")
+    page.locator("[data-lab=seed]").press("Enter")
 
 
 def test_a_splay_is_shown_with_counts(page):

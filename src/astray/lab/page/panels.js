@@ -49,6 +49,7 @@ export class Panels {
     for (const [name, by] of [["rewind", -Infinity], ["back", -1], ["forth", 1]]) hear(name, "click", () => lab.go(lab.now + by));
     hear("scrub", "input", () => lab.show(Number(part("scrub").value)));
     hear("scrub", "change", () => lab.go(Number(part("scrub").value)));
+    hear("seed", "change", () => { part("seed").value = lab.seed; });
     for (const name of ["mode", "seed", "steered"]) hear(name, "change", () => lab.refresh());
     for (const name of ["layer", "heat", "zoom"]) hear(name, "change", () => lab.stage.redraw());
     hear("compare", "change", () => lab.think());
