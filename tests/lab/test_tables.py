@@ -35,6 +35,7 @@ def test_a_large_agent_is_looked_up_in_a_table(chrome, untrained, tmp_path):
     edited = levels[1].moved("goal", _another(levels[1]))
     with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
         first = page.evaluate("[...lab.fields.values()]")
+        assert "rounded to 256 steps here" in page.locator("[data-lab=lead]").text_content()
         wait(page, "lab.ready")
         message = {"kind": "fields", "agent": page.evaluate("lab.part('agent').value")}
         message |= {"game": "maze", "variant": "anywhere-small", "level": edited.to_json()}

@@ -40,6 +40,9 @@ OF_NO_LEVEL = ("level", "seed", "turn", "gap")  # fields that are not of a level
 TABLE = 2**21  # bytes of an agent's table, at most
 COMPUTED = "mlp"  # the network that the page computes
 CERTAIN = 255  # a byte that is a probability of 1
+ROUNDED = (
+    "Its probabilities and values are rounded to 256 steps here, so draws may differ from Python's."
+)
 # Fields of a maze that images show, beside its cells.
 SEEN = (
     "background", "background_offset", "walls", "window", "goal_shape", "goal_colour",
@@ -245,7 +248,7 @@ def _write_agent(
     index, data = table(agent, game, variant, levels)
     _write(folder / "agents" / f"{name}.json", index)
     _write(folder / "agents" / f"{name}.bin", data)
-    told["variants"] = [told["test"]]
+    told |= {"variants": [told["test"]], "caveat": ROUNDED}
     told["table"] = {"path": f"data/agents/{name}.json", "bytes": f"data/agents/{name}.bin"}
 
 
