@@ -55,6 +55,16 @@ def test_a_queue_with_a_mistake_in_it_does_not_begin(names, message, done):
     assert not done
 
 
+def test_an_index_of_the_users_is_not_replaced_which_is_told_before_the_work(done, tmp_path):
+    (tmp_path / "index.html").write_text("my own site")
+    with pytest.raises(OSError, match=r"index\.html was not written by astray; it would be repl"):
+        run.reproduce_each(["keys-and-chests"], "smoke", tmp_path)
+    assert not done and (tmp_path / "index.html").read_text() == "my own site"
+    (tmp_path / "index.html").write_bytes(report.INDEX_SIGN)
+    run.reproduce_each(["keys-and-chests"], "smoke", tmp_path)
+    assert done == ["keys-and-chests"]
+
+
 def test_a_study_whose_code_is_edited_while_it_waits_has_the_tables_of_what_was_loaded(
     tmp_path, monkeypatch
 ):

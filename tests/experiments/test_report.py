@@ -238,6 +238,7 @@ def test_the_index_leads_to_every_report_and_counts_its_claims(told, tmp_path):
         (tmp_path / name).mkdir()
         report.write(replace(told[0], title=name), told[1], tmp_path / name)
     page = report.write_index(tmp_path).read_text()
+    assert report.INDEX_SIGN.decode() in page
     assert re.findall('href="(.*?)"', page) == ["./one/report.html", "./two/report.html"]
     assert "2 experiments" in page and re.search(r"2 of\s+4 claims supported", page)
 

@@ -267,8 +267,10 @@ def reproduce_each(names: Sequence[str], size: Size, root: Path, **how: Any) -> 
     Raises:
         ValueError: If an experiment or its size does not exist, or none has such art; before any
             work.
+        OSError: If the folder has an `index.html` that astray did not write; before any work.
         RuntimeError: If some failed; at the end.
     """
+    check_free(path_of("root", root), report.INDEX, report.INDEX_SIGN, ())
     chosen: list[str] = []
     for name in names:
         there = catalogue.NAMES if name == ALL else ()

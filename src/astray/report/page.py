@@ -23,6 +23,7 @@ from astray.report.findings import Code, Findings, Heading, Plot, Scene, Section
 from astray.validation import printable, shown
 
 WRITTEN = ("report.html", "findings.json", "figures", "tables")  # to a report's folder
+INDEX, INDEX_SIGN = "index.html", b"<title>What agents pursue</title>"  # the latter is in it
 COMPUTED = "computed"  # the folder of a report's tables, which are made once
 FOLDERS = ("figures", "tables", COMPUTED)
 MEDIA = {".png": "image/png", ".svg": "image/svg+xml", ".mp4": "video/mp4"}
@@ -127,8 +128,8 @@ def write_index(folder: Path) -> Path:
             found.append(_findings(path) | {"folder": path.parent.name})
         except (ValueError, OSError) as error:  # of an older report, which hides no newer one
             print(printable(f"left out of the index: {error}"), file=sys.stderr, flush=True)
-    write_aside(folder / "index.html", _render("index.html", reports=found).encode())
-    return folder / "index.html"
+    write_aside(folder / INDEX, _render(INDEX, reports=found).encode())
+    return folder / INDEX
 
 
 def _findings(path: Path) -> dict[str, Any]:
