@@ -147,7 +147,7 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
 
 @contextlib.contextmanager
 def evaluating(network: nn.Module) -> Iterator[nn.Module]:
-    """Put a module into evaluation mode, and afterwards its parts back into training mode."""
+    """Put a module into evaluation mode, and afterwards each of its parts back into its own."""
     parts = [part for part in network.modules() if part.training]
     network.eval()
     try:

@@ -292,13 +292,14 @@ def _of_mean(parts: np.ndarray, fractions: np.ndarray | None) -> tuple[float, fl
     if fractions is not None and np.ptp(fractions):
         parts = parts * (without := (1 - 1 / count) / (1 - fractions))
         scale = count * without * fractions
-        # The squares of parts are D + U S U', as a matrix of N x N would be large.
+        # The variance is a quadratic form with the matrix diag(scale^2) + U S U'. Its traces are
+        # found without the matrix, N x N, which would be large for many levels.
         u = np.stack([scale**2, fractions, scale - scale.sum() * fractions], 1)
         s = np.array([[0, -1, 0], [-1, (scale**2).sum(), 0], [0, 0, -1 / count]])
         inner = s @ u.T @ u
         trace = (scale**2).sum() + np.trace(inner)
         squares = (scale**4).sum() + np.trace(2 * s @ (u.T * scale**2) @ u + inner @ inner)
-        freedom = float(trace**2 / squares) if fractions.max() < 0.99 else 1.0  # or rounding
+        freedom = float(trace**2 / squares) if fractions.max() < 0.99 else 1.0  # else rounding
     return float(parts.var(ddof=1)) / count, freedom
 
 
