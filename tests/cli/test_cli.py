@@ -248,6 +248,8 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(astray, run_folder, tmp
         ("train maze corner --set", "a knob must be set as NAME=VALUE; got ''"),
         ("level maze corner --levels 5 --levels=7", "--levels is given more than once"),
         ("explain maze-corner --others 2 --num_levels 3", "--num-levels is given more than once"),
+        ("train maze corner --learning-rate 1 --set lr=2", "--learning-rate is given more than"),
+        ("sweep maze-corner --start maze-corner --set start=a,b", "--start is given more than"),
         ("level maze corner --set squid=5", "unknown knob 'squid'; there are: time_limit"),
         ("level maze corner --set region=5.5", "region must be of type int; got 5.5"),
         (

@@ -44,7 +44,9 @@ def run() -> None:
     """Run the verb on the command line; raise ValueError if there is none of that name."""
     given = [re.sub("^--[a-z]+", lambda found: EARLIER.get(found[0], found[0]), word)
              for word in sys.argv[1:]]  # fmt: skip
-    options = [word.partition("=")[0].replace("_", "-") for word in given if word[:2] == "--"]
+    names = re.findall(r"(?m)^(?:--set=)?([a-zA-Z]\w*)=", "\n".join(given))  # that --set sets
+    words = [*given, *{f"--{SHORT.get(name, name)}" for name in names}]
+    options = [word.partition("=")[0].replace("_", "-") for word in words if word[:2] == "--"]
     warnings.showwarning = functools.partial(_warn, warnings.showwarning)
     if given == ["--version"]:
         print(version("astray"))
