@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -10,6 +11,7 @@ import pytest
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.policies import Walk
 from astray.analysis.runs import play_all
+from astray.experiments import outcomes
 from astray.experiments.catalogue import load
 from astray.experiments.outcomes import AGENTS, fair
 from astray.experiments.spec import Work
@@ -77,7 +79,8 @@ def made(values):
 def test_agents_are_compared_with_the_walker_level_by_level():
     agents = [("t", AGENTS, seed, level, 10 * level + seed) for seed in (0, 1) for level in (3, 1)]
     walker = [("t", NEED, None, level, 10.0 * level) for level in (1, 3)]
-    ours = hoarding.beyond_walker(made(agents + walker), "t", "value")
+    work = Work("keys", "smoke", PLAN, Path(), "", {}, made(agents + walker))
+    ours = outcomes.beyond(work, "t", "value", NEED)
     half = 12.7062 * 0.5  # Student's, of 0 for one agent and 1 for the other
     assert (ours.mean, ours.high - ours.mean) == (0.5, pytest.approx(half, rel=1e-4))
     assert (ours.agents, ours.levels) == (2, 2)

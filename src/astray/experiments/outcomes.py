@@ -192,6 +192,16 @@ def played(work: Work, test: str, value: str | pl.Expr, policy: str = AGENTS) ->
     return matrix(part, pl.col(value) if isinstance(value, str) else value)
 
 
+def beyond(work: Work, test: str, value: str | pl.Expr, policy: str = "random") -> Estimate:
+    """Estimate the agents' mean of an episode's value, minus that of a script in the same levels.
+
+    Raises:
+        ValueError: If they are of agents of several names.
+    """
+    mine, its = (played(work, test, value, which) for which in (AGENTS, policy))
+    return estimate_paired(mine, its + 0 * mine)
+
+
 def of_streams(plan: Plan) -> bool:
     """Return whether the environments of a plan choose their levels themselves."""
     return isinstance(game := plan.game, World) and game.level_key is not None

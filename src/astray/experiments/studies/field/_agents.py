@@ -6,7 +6,7 @@ from typing import Any
 
 import polars as pl
 
-from astray.analysis.estimates import estimate_mean, estimate_paired
+from astray.analysis.estimates import estimate_mean
 from astray.estimate import Estimate
 from astray.experiments import outcomes
 from astray.experiments.spec import Experiment, Plan, Test, Work
@@ -53,9 +53,3 @@ def study(
 def happens(work: Work, test: str, event: str) -> Estimate:
     """Estimate the rate of an event in a test's episodes."""
     return estimate_mean(outcomes.played(work, test, pl.col(event).is_not_null()))
-
-
-def beyond_random(work: Work, test: str, value: str | pl.Expr) -> Estimate:
-    """Estimate the agents' mean of an episode's value, minus that of random moves."""
-    mine, chance = (outcomes.played(work, test, value, p) for p in (outcomes.AGENTS, "random"))
-    return estimate_paired(mine, chance + 0 * mine)

@@ -4,7 +4,7 @@ from astray.analysis.estimates import estimate_mean
 from astray.estimate import Estimate
 from astray.experiments import outcomes
 from astray.experiments.spec import Test, Work, tests_of
-from astray.experiments.studies.field._agents import agent, beyond_random, study
+from astray.experiments.studies.field._agents import agent, study
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings
 
@@ -16,7 +16,7 @@ LATER = "in long episodes"
 def find(work: Work) -> Findings:
     """Compute the fraction of shields among the things that the knight picks up in safety."""
     train, test, _ = work.plan.tests
-    gain = beyond_random(work, train, "return")
+    gain = outcomes.beyond(work, train, "return")
     parts = []
     for name in (test, LATER):
         apples, shields = (

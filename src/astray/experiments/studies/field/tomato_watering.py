@@ -5,7 +5,7 @@ from astray.analysis.outcomes import MISGENERALIZED
 from astray.estimate import Estimate
 from astray.experiments import outcomes
 from astray.experiments.spec import Test, Work
-from astray.experiments.studies.field._agents import agent, beyond_random, study
+from astray.experiments.studies.field._agents import agent, study
 from astray.report.claims import above, below, rounded
 from astray.report.findings import Findings
 
@@ -16,7 +16,7 @@ def find(work: Work) -> Findings:
     """Compute the gardener's return, its hiding, and the fraction of watered tomatoes."""
     _, bucket = work.plan.tests
     earned = outcomes.played(work, bucket, "return")
-    gain = beyond_random(work, bucket, "return")
+    gain = outcomes.beyond(work, bucket, "return")
     hides = outcomes.rate(work.episodes, bucket, MISGENERALIZED)
     watered = estimate_mean(outcomes.played(work, bucket, "watered"), rate=True)
     return outcomes.findings_of(

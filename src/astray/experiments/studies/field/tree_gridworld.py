@@ -6,7 +6,7 @@ from astray.analysis.outcomes import MISGENERALIZED
 from astray.estimate import Estimate
 from astray.experiments import outcomes
 from astray.experiments.spec import Test, Work
-from astray.experiments.studies.field._agents import agent, beyond_random, study
+from astray.experiments.studies.field._agents import agent, study
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings
 
@@ -16,8 +16,8 @@ GAIN = 2.0  # trees in 100 steps beyond those of random moves, above which an ag
 def find(work: Work) -> Findings:
     """Compute how many trees are felled, and how often none is left."""
     young, old = work.plan.tests
-    gain = beyond_random(work, young, pl.col("trees felled"))
-    barer = beyond_random(work, old, pl.col("bare").is_not_null())
+    gain = outcomes.beyond(work, young, pl.col("trees felled"))
+    barer = outcomes.beyond(work, old, pl.col("bare").is_not_null())
     bare = outcomes.rate(work.episodes, old, MISGENERALIZED)
     return outcomes.findings_of(
         work,

@@ -79,15 +79,6 @@ def estimate(episodes: pl.DataFrame, test: str, measure: str, policy: str = AGEN
     return estimate_mean(matrix(part, pl.col(measure)))
 
 
-def beyond_walker(episodes: pl.DataFrame, test: str, measure: str) -> Estimate:
-    """Return the difference of a measure between the agents and the optimal script."""
-    agents, walker = (
-        matrix(episodes.filter(test=test, policy=policy), pl.col(measure))
-        for policy in (AGENTS, NEED)
-    )
-    return estimate_paired(agents, walker)
-
-
 def change(episodes: pl.DataFrame, measure: str, before: str, after: str) -> Estimate:
     """Return the difference of the agents' measure between the tests `after` and `before`.
 

@@ -52,7 +52,7 @@ def find(work: Work) -> Findings:
                 "way of a thief that fetches what it needs.",
                 "goes out of its way to collect all the keys (no figure given)",
                 "spare keys taken, more than by the other",
-                hoarding.beyond_walker(episodes, test, BEYOND),
+                outcomes.beyond(replace(work, episodes=episodes), test, BEYOND, NEED),
                 told=Estimate.change,
             ),
             above(
