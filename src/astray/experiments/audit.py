@@ -200,15 +200,11 @@ def _ghosts(work: Work) -> tuple[Table, str]:
         found = estimate_paired(*(matrix(mine.filter(test=t), came) for t in (TEST, GHOST)))
         told.append(f"{goal} {found.short()}")
         rates = {t: mine.filter(test=t).select(came.mean()).item() for t in (TEST, GHOST)}
-        rows.append(
-            {"goal": goal}
-            | rates
-            | {name: getattr(found, name) for name in ("mean", "low", "high", "agents", "levels")}
-        )
+        rows.append({"goal": goal} | rates | vars(found))
     table = Table(
         "ghost",
         "Rate at which each goal is reached in the test, and without the object in levels of the "
         "same numbers; the difference is paired by level.",
-        pl.DataFrame(rows),
+        pl.DataFrame(rows).drop("rows", "freedom"),
     )
     return table, ", ".join(told)

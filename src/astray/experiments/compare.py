@@ -19,7 +19,8 @@ from astray.analysis.policies import scripts_of
 from astray.analysis.results import APART, Result
 from astray.analysis.runs import evaluate_policies, names_of
 from astray.analysis.trained import Agent
-from astray.experiments.outcomes import STREAMS, curve_plot
+from astray.estimate import Estimate
+from astray.experiments.outcomes import STREAMS, curve_plot, table_of
 from astray.experiments.videos import repeats
 from astray.figures import charts
 from astray.files import check_free, files_aside
@@ -86,7 +87,8 @@ def compare(
     called = dict(zip(result.agents, names, strict=True))  # a training may write checkpoints now
     rates, episodes = (one.with_columns(pl.col("policy").replace(called)) for one in result)
     result = replace(result, rates=rates, episodes=episodes, agents=(*names,))
-    rates = _in_order(result.rates, names)
+    place = pl.col("policy").cast(pl.Enum([*dict.fromkeys([*names, *result.rates["policy"]])]))
+    rates = result.rates.sort(pl.col("levels_played") != APART, place, maintain_order=True)
     differences = paired(result, names)
     named = (name for name, one in rules.variants.items() if one == where)
     told: dict[str, Sequence[Item]] = {
@@ -121,22 +123,17 @@ def paired(result: Result, names: Sequence[str]) -> pl.DataFrame:
     Columns: first, second, outcome, mean, low and high (rate of the first minus the second's, with
     a 95 % interval over levels), differ (whether the interval excludes 0), levels.
     """
-    rows, chances = [], []
+    pairs: dict[tuple[str, str, str], Estimate] = {}
     apart = APART in result.rates["levels_played"]
     part = result.episodes.filter("distinguishing") if apart else result.episodes
     for first, second in itertools.combinations(names, 2):
         for outcome in COMPARED:
             came = pl.col("outcome") == outcome
             one, other = (matrix(part.filter(policy=name), came) for name in (first, second))
-            found = estimate_paired(one, other)
-            rows.append(
-                {"first": first, "second": second, "outcome": outcome}
-                | {name: getattr(found, name) for name in ("mean", "low", "high")}
-                | {"levels": found.levels}
-            )
-            chances.append(nonzero(found))
-    table = pl.DataFrame(rows)
-    return table.insert_column(table.width - 1, pl.Series("differ", holm(chances)))
+            pairs[first, second, outcome] = estimate_paired(one, other)
+    table = table_of(pairs, "first", "second", "outcome").rename({"n": "levels"})
+    differ = pl.Series("differ", holm([*map(nonzero, pairs.values())]))
+    return table.insert_column(table.width - 1, differ)
 
 
 def _answer(differences: pl.DataFrame, shift: Shift) -> str:
@@ -167,13 +164,6 @@ def _answer(differences: pl.DataFrame, shift: Shift) -> str:
         f"{abs(100 * most['mean']):.1f} percentage points more of the same {most['levels']:,} "
         f"levels (95\u00a0% interval {low:.1f} to {high:.1f}{among})."
     )
-
-
-def _in_order(rates: pl.DataFrame, names: Sequence[str]) -> pl.DataFrame:
-    """Return rates, first those of distinguishing levels, and of the named policies."""
-    order = pl.Enum([*dict.fromkeys([*names, *rates["policy"]])])
-    place = pl.col("policy").cast(order)
-    return rates.sort(pl.col("levels_played") != APART, place, maintain_order=True)
 
 
 def _outcomes(rates: pl.DataFrame) -> Plot:

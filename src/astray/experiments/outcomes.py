@@ -202,6 +202,18 @@ def beyond(work: Work, test: str, value: str | pl.Expr, policy: str = "random") 
     return estimate_paired(mine, its + 0 * mine)
 
 
+def table_of(found: Mapping[Any, Estimate], *names: str) -> pl.DataFrame:
+    """Return estimates by a key, or by a tuple of keys, as a table.
+
+    Columns: `names`, of the keys; mean, low, high; n, of levels.
+    """
+    rows = [
+        [*(key if names[1:] else [key]), one.mean, one.low, one.high, one.levels]
+        for key, one in found.items()
+    ]
+    return pl.DataFrame(rows, [*names, "mean", "low", "high", "n"], orient="row")
+
+
 def of_streams(plan: Plan) -> bool:
     """Return whether the environments of a plan choose their levels themselves."""
     return isinstance(game := plan.game, World) and game.level_key is not None

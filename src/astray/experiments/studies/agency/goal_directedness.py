@@ -13,6 +13,7 @@ from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import open_run
 from astray.estimate import Estimate
 from astray.experiments.levels import levels_of
+from astray.experiments.outcomes import table_of
 from astray.experiments.spec import Experiment, Plan, Test, Work
 from astray.experiments.studies.insight._plans import CORNER_MOUSE, of_levels
 from astray.experiments.studies.maze.maze_corner import PIXELS
@@ -41,12 +42,7 @@ def find(work: Work) -> Findings:
         for name in rows["policy"].unique(maintain_order=True)
         for goal in (CHEESE, CORNER)
     }
-    table = pl.DataFrame(
-        [
-            {"policy": name, "goal": goal, "mean": one.mean, "low": one.low, "high": one.high}
-            for (name, goal), one in mean.items()
-        ]
-    )
+    table = table_of(mean, "policy", "goal").drop("n")
     levels = mean[SYMBOLS, CORNER].levels
     return Findings(
         answer=f"In {levels:,} levels, mice whose cheese was always in the corner are directed to "

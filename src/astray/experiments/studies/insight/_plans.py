@@ -1,6 +1,5 @@
 """Pretrained and published agents for interpretability studies, which train none."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -73,13 +72,3 @@ def of_levels(rows: pl.DataFrame, value: str, condition: str, minus: str | None 
         other = rows.filter(condition=minus).select("level", pl.col(value).alias("other"))
         one = one.join(other, on="level").with_columns(pl.col(value) - pl.col("other"))
     return estimate_mean(one.sort("level")[value].drop_nulls().to_numpy())
-
-
-def table_of(rows: Mapping[Any, Estimate], heading: str) -> pl.DataFrame:
-    """Return estimates by name as a table."""
-    return pl.DataFrame(
-        [
-            {heading: name, "mean": one.mean, "low": one.low, "high": one.high, "n": one.levels}
-            for name, one in rows.items()
-        ]
-    )

@@ -8,9 +8,10 @@ import polars as pl
 
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
+from astray.experiments.outcomes import table_of
 from astray.experiments.spec import Experiment, Size, Work
 from astray.experiments.studies.insight import _plans
-from astray.experiments.studies.insight._plans import of_levels, opened, table_of
+from astray.experiments.studies.insight._plans import of_levels, opened
 from astray.figures import charts
 from astray.game import Variant
 from astray.games.maze.measures import decision

@@ -8,9 +8,10 @@ import polars as pl
 
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
+from astray.experiments.outcomes import table_of
 from astray.experiments.spec import Experiment, Size, Work
 from astray.experiments.studies.insight import _plans
-from astray.experiments.studies.insight._plans import opened, table_of
+from astray.experiments.studies.insight._plans import opened
 from astray.figures.grids import Picture, images
 from astray.game import Variant
 from astray.insight.retarget import ALONE, AS_IS, CLAMPED, MOVED, WAYS, Clamp, following, retarget

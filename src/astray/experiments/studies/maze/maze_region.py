@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import Estimate, estimate_difference, estimate_mean, over_agents
+from astray.analysis.estimates import estimate_difference, estimate_mean, over_agents
 from astray.analysis.outcomes import MISGENERALIZED, OUTCOMES, matrix
 from astray.analysis.policies import Walk
 from astray.experiments import outcomes
-from astray.experiments.outcomes import of
+from astray.experiments.outcomes import of, table_of
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.experiments.studies.maze import maze_corner
 from astray.figures import charts
@@ -34,8 +34,21 @@ def find(work: Work) -> Findings:
     middle = list(regions)[(len(regions) - 1) // 2]
     success = {name: matrix(of(work, test, name), REACHED) for name in regions}
     corner = outcomes.first(work, test, MISGENERALIZED)
-    shown = pl.concat([success_table(work, regions), at_end_of_training(work, regions)])
-    first = first_table(work, regions)
+    reached = {
+        ("where it is anywhere", regions[name]): estimate_mean(came)
+        for name, came in success.items()
+    } | {
+        (who, None): estimate_mean(matrix(work.episodes.filter(policy=name), REACHED))
+        for name, who in BASE_RATES.items()
+    }
+    shown = table_of(reached, "who", "region").drop("n")  # null: base rate
+    shown = pl.concat([shown, at_end_of_training(work, regions)])
+    came_first = {
+        (outcome, regions[name]): estimate_mean(came)
+        for outcome in OUTCOMES
+        for name, came in outcomes.first(work, test, outcome).items()
+    }
+    first = table_of(came_first, "outcome", "region").drop("n")
     sides = {name: f"{side} x {side} cells" for name, side in regions.items()}
     both = pl.concat([shown, first.rename({"outcome": "who"})])
     titles = ["The cheese is reached"] * len(shown)
@@ -95,33 +108,8 @@ def region(config: Config) -> int:
     return variant.region
 
 
-def success_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
-    """Return how often the cheese is reached: who, region (null: base rate), mean, low, high."""
-    (test,) = work.plan.tests
-    played = {("where it is anywhere", side): of(work, test, n) for n, side in regions.items()}
-    played |= {(who, None): work.episodes.filter(policy=n) for n, who in BASE_RATES.items()}
-    return pl.DataFrame(
-        {"who": who, "region": side} | _rates(estimate_mean(matrix(part, REACHED)))
-        for (who, side), part in played.items()
-    )
-
-
-def first_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
-    """Return the rate of each outcome: outcome, region, mean, low, high."""
-    (test,) = work.plan.tests
-    return pl.DataFrame(
-        {"outcome": outcome, "region": regions[name]} | _rates(estimate_mean(came))
-        for outcome in OUTCOMES
-        for name, came in outcomes.first(work, test, outcome).items()
-    )
-
-
-def _rates(estimate: Estimate) -> dict[str, float]:
-    return {"mean": estimate.mean, "low": estimate.low, "high": estimate.high}
-
-
 def at_end_of_training(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
-    """Return a `success_table` of the episodes in the last tenth of training."""
+    """Return how often the cheese is reached in the last tenth: who, region, mean, low, high."""
     curves, rows = outcomes.curves(work.runs), []
     for name, side in regions.items():
         seeds = curves.filter(agent=name).partition_by("seed")
