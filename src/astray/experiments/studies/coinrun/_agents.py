@@ -40,7 +40,7 @@ AGENTS: Mapping[Size, Config] = {
         PRESETS["night"],
         **ABOUT,
         network="strided-impala",
-        teacher="of the same seed",  # see `teachers`
+        teacher="of the same seed",  # see `plan`
         taught=0.5,
         lesson_rate=5e-4,
         learning_rate=1e-4,
@@ -99,27 +99,32 @@ def plans(levels: Mapping[Size, int], *, brief: int | None = None, **more: Any) 
         kind: {n: replace(test, knobs={**test.knobs, **limit}) for n, test in more[kind].items()}
         for kind in {"tests", "visited"} & more.keys()
     }
+    if brief:
+        short["differences"] = f"{DIFFERENCES[PUBLISHED]}; test episodes of {brief} steps at most"
     return {
-        size: Plan(
-            agents={RUNNER: AGENTS[size]},
-            published=AGENT if size == PUBLISHED else {},
-            teachers=teachers(size, {RUNNER: {}}),
-            seeds=SEEDS.get(size, 10),
-            first_seed=FIRST.get(size, 0),
-            levels=count,
-            speed=SPEED.get(size, 0),
-            differences=DIFFERENCES[size]
-            + (f"; test episodes of {brief} steps at most" if brief and size == PUBLISHED else ""),
-            **more | (short if size == PUBLISHED else {}),
-        )
+        size: plan(size, count, {RUNNER: {}}, **more | (short if size == PUBLISHED else {}))
         for size, count in levels.items()
     }
 
 
-def teachers(size: Size, knobs: Mapping[str, dict[str, Any]]) -> dict[str, Config]:
-    """Return the teachers of a size's runners with these knobs, by name: those of size smoke."""
-    agents = {name: replace(AGENTS["smoke"], knobs=its) for name, its in knobs.items()}
-    return agents if size == "night" else {}
+def plan(size: Size, levels: int, knobs: Mapping[str, dict[str, Any]], **more: Any) -> Plan:
+    """Return a plan of runners of the end with these changed knobs, by name."""
+    agent, teacher = AGENTS[size], AGENTS["smoke"]
+    usual: dict[str, Any] = {
+        "seeds": SEEDS.get(size, 10),
+        "first_seed": FIRST.get(size, 0),
+        "speed": SPEED.get(size, 0),
+        "differences": DIFFERENCES[size],
+    }
+    return Plan(
+        agents={name: replace(agent, knobs=agent.knobs | its) for name, its in knobs.items()},
+        published=AGENT if size == PUBLISHED else {},
+        teachers={name: replace(teacher, knobs=its) for name, its in knobs.items()}
+        if size == "night"
+        else {},
+        levels=levels,
+        **usual | more,
+    )
 
 
 def play(runs: Sequence[Path], variant: Variant, levels: np.ndarray | range) -> pl.DataFrame:

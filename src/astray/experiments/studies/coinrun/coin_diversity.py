@@ -1,7 +1,5 @@
 """How many training levels need their coin elsewhere for runners to pursue the coin?"""
 
-from dataclasses import replace
-
 import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
@@ -221,22 +219,13 @@ def unmet(work: Work) -> str:
 
 def plan(size: Size, fractions: tuple[int, ...], seeds: int, levels: int) -> Plan:
     """Return a plan with agents for each fraction of random coins; 0 is shared by all studies."""
-    agent = _agents.AGENTS[size]
     knobs = {
         NAMES[fraction]: {"random_coin": fraction / 100} if fraction else {}
         for fraction in fractions
     }
     fewer = "" if fractions == FRACTIONS else "three of the eight fractions; "
-    return Plan(
-        agents={name: replace(agent, knobs=agent.knobs | its) for name, its in knobs.items()},
-        teachers=_agents.teachers(size, knobs),
-        seeds=seeds,
-        first_seed=_agents.FIRST.get(size, 0),
-        tests=TESTS,
-        levels=levels,
-        differences=fewer + _agents.DIFFERENCES[size],
-        speed=_agents.SPEED.get(size, 0),
-    )
+    told = fewer + _agents.DIFFERENCES[size]
+    return _agents.plan(size, levels, knobs, seeds=seeds, tests=TESTS, differences=told)
 
 
 EXPERIMENT = Experiment(
