@@ -17,7 +17,6 @@ from astray.analysis.pages import templates
 from astray.analysis.results import Result
 from astray.analysis.runs import evaluate_runs, open_run, shift_of
 from astray.analysis.tables import write_table
-from astray.estimate import Estimate
 from astray.experiments import catalogue
 from astray.experiments.spec import Size, name_of_run
 from astray.experiments.videos import write_video
@@ -158,13 +157,11 @@ def _rows(variant: str, result: Result) -> Iterator[list[Any]]:
     """Return a row per policy, the agent first: levels, name, outcomes; none of levels twice."""
     (agent,) = result.agents
     every = pl.col("levels_played") == "all"
-    order = result.rates.filter(every | (pl.col("levels") < pl.col("levels").max())).sort(
+    order = result.table.filter(every | (pl.col("levels") < pl.col("levels").max())).sort(
         pl.col("levels_played") != "all", pl.col("policy") != agent, maintain_order=True
     )
-    for part in order.partition_by("levels_played", "policy", maintain_order=True):
-        first = part.row(0, named=True)
+    for policy, which, levels, *outcomes in order.iter_rows():
         where = f"`{variant}`"
-        if first["levels_played"] != "all":
-            where += f", the {first['levels']} distinguishing levels"
-        who = "the agent" if first["policy"] == agent else first["policy"]
-        yield [where, who, *(Estimate.of(row).short() for row in part.to_dicts())]
+        if which != "all":
+            where += f", the {levels} distinguishing levels"
+        yield [where, "the agent" if policy == agent else policy, *outcomes]
