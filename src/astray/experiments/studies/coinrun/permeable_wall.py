@@ -56,8 +56,10 @@ def find(work: Work) -> Findings:
         for which in ([THROUGH], [THROUGH, INSIDE])
     )
     before = mean_of(peaks, pl.col("to_wall").is_between(*JUST_LEFT))
-    typical = pick(peaks)
-    shown = [show(work, typical)] if typical else []
+    at_peak = "unknown" if peaks.is_empty() else f"{peaks['step'].median():.0f}"
+    # The first agent's episode with the median time to the wall, if there is any.
+    mine = peaks.filter(pl.col("agent") == pl.col("agent").min()).sort("touched", "level")
+    shown = [show(work, one) for one in mine.slice(len(mine) // 2, 1).to_dicts()]
     near = charts.curves(
         ways.with_columns(pl.col("cells") + 0.5), x="cells", shade=(0, COLUMNS),
         x_label="cells from the wall's face to the runner's front; shaded: the wall",
@@ -87,7 +89,7 @@ def find(work: Work) -> Findings:
             above(
                 "The critic's value is highest just left of the wall, not in it or beyond.",
                 "about step 35, one episode",
-                f"there, with the wall in view, in the median at step {median(peaks)}",
+                f"there, with the wall in view, in the median at step {at_peak}",
                 before,
                 MOST,
             ),
@@ -190,17 +192,6 @@ def approach(table: pl.DataFrame) -> pl.DataFrame:
         pl.col("cells").is_between(-COLUMNS, COLUMNS)
     )
     return group_means(near, "value", ["cells"])
-
-
-def median(peaks: pl.DataFrame) -> str:
-    """Return the median over episodes of the step with the highest value."""
-    return "unknown" if peaks.is_empty() else f"{peaks['step'].median():.0f}"
-
-
-def pick(peaks: pl.DataFrame) -> dict[str, Any] | None:
-    """Return the first agent's episode with the median time to the wall, or None."""
-    mine = peaks.filter(pl.col("agent") == pl.col("agent").min()).sort("touched", "level")
-    return mine.row(len(mine) // 2, named=True) if len(mine) else None
 
 
 def show(work: Work, typical: dict[str, Any]) -> tuple[Video, list[Plot]]:

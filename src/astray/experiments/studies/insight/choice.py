@@ -38,7 +38,8 @@ def find(work: Work) -> Findings:
     agent, variant, levels = opened(work, WHERE)
     rows = work.keep("choices", lambda: choices(work, agent, variant, levels))
     told = rows.drop_nulls()
-    names = [n for n in told.columns if n not in ("level", CHEESE) and varies(told[n])]
+    features = [one for one in told.columns if one not in ("level", CHEESE)]
+    names = [one for one in features if told[one].n_unique() > 1]
     every = predict(told, CHEESE, names)
     four = predict(told, CHEESE, [name for name in PUBLISHED if name in names])
     taken = told[CHEESE].to_numpy().mean()
@@ -99,11 +100,6 @@ def find(work: Work) -> Findings:
             f"the commoner always: {every.always:.3f}",
         },
     )
-
-
-def varies(column: pl.Series) -> bool:
-    """Return whether a feature differs between levels."""
-    return column.n_unique() > 1
 
 
 def signed(found: Prediction, name: str, published: float) -> Claim:

@@ -35,7 +35,8 @@ def find(work: Work) -> Findings:
     """Measure outcomes by the maze's size, and the goal, compared with our own mouse."""
     tables = outcomes.outcome_tables(work)
     reached = rate(work.episodes, WHERE, INTENDED)
-    sizes = by_size(work.episodes)
+    mine = work.episodes.filter(policy=AGENTS).with_columns(agent=pl.col("seed"))
+    sizes = group_rates(mine, "outcome", OUTCOMES, ["size"])
     control, _ = open_run(work.runs[MOUSE][0])
     assessed = {
         MOUSE: assess(control, work.plan.config, TEST),
@@ -112,12 +113,6 @@ def find(work: Work) -> Findings:
             "take long are missing; here every level counts once",
         },
     )
-
-
-def by_size(episodes: pl.DataFrame) -> pl.DataFrame:
-    """Return the rate of each outcome for each size of maze."""
-    mine = episodes.filter(policy=AGENTS).with_columns(agent=pl.col("seed"))
-    return group_rates(mine, "outcome", OUTCOMES, ["size"])
 
 
 def assess(agent: Agent, config: Config, test: Test) -> Assessed:

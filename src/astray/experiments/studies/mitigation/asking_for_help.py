@@ -97,41 +97,32 @@ def novices(work: Work, name: str) -> list[Novice]:
     return found
 
 
-def curves(found: Sequence[Novice], percentiles: Sequence[float]) -> pl.DataFrame:
-    """Return `oversight.curves` of every novice and score, with columns agent and run."""
-    parts = []
-    for novice in found:
-        expert = Walk(novice.trial.shift.intended, remembers=True)
-        rows = oversight.curves(
-            novice.agent, expert, novice.scores, novice.trial, ("step", "level"), percentiles
-        )
-        parts.append(_of(rows, novice))
-    return pl.concat(parts)
+def of_each(found: Sequence[Novice], measure: Callable[[Novice], pl.DataFrame]) -> pl.DataFrame:
+    """Return what is measured of every novice, with columns agent and run."""
+    return pl.concat(
+        measure(one).with_columns(agent=pl.lit(one.name), run=pl.lit(one.run.name)) for one in found
+    )
 
 
-def timing(found: Sequence[Novice]) -> pl.DataFrame:
-    """Return `oversight.when_asked` of every novice and score, with columns agent and run.
+def curves(novice: Novice, percentiles: Sequence[float]) -> pl.DataFrame:
+    """Return `oversight.curves` of a novice's scores."""
+    expert, kinds = Walk(novice.trial.shift.intended, remembers=True), ("step", "level")
+    return oversight.curves(novice.agent, expert, novice.scores, novice.trial, kinds, percentiles)
+
+
+def timing(novice: Novice) -> pl.DataFrame:
+    """Return `oversight.when_asked` of a novice's scores.
 
     Only levels in which the expert reaches the goal first count; elsewhere its way passes the
     proxy.
     """
-    parts = []
-    for novice in found:
-        rows = when_asked(novice.agent, novice.scores, novice.trial)
-        rows = rows.filter(~pl.col("level").is_in(unavoidable(novice.trial)))
-        parts.append(_of(rows.select("score", "level", "outcome", "moment"), novice))
-    return pl.concat(parts)
-
-
-def unavoidable(trial: Trial) -> list[int]:
-    """Return the test levels in which the shortest way to the goal also passes a proxy first."""
+    trial = novice.trial
     game, expert = games.find(trial.game), Walk(trial.shift.intended)
     played = label(evaluate(expert, game, trial.test, trial.test_levels), game, trial.shift)
-    return played.filter(outcome=MISGENERALIZED)["level"].to_list()
-
-
-def _of(rows: pl.DataFrame, novice: Novice) -> pl.DataFrame:
-    return rows.with_columns(agent=pl.lit(novice.name), run=pl.lit(novice.run.name))
+    passes = played.filter(outcome=MISGENERALIZED)["level"]
+    rows = when_asked(novice.agent, novice.scores, trial)
+    rows = rows.filter(~pl.col("level").is_in(passes.to_list()))
+    return rows.select("score", "level", "outcome", "moment")
 
 
 def find(work: Work) -> Findings:
@@ -142,8 +133,8 @@ def find(work: Work) -> Findings:
     def found() -> list[Novice]:  # once: what goals they would pursue takes long
         return [one for name in novice_runs(work) for one in novices(work, name)]
 
-    table = work.keep("curves", lambda: curves(found(), percentiles))
-    asked = work.keep("timing", lambda: timing(found()))
+    table = work.keep("curves", lambda: of_each(found(), lambda one: curves(one, percentiles)))
+    asked = work.keep("timing", lambda: of_each(found(), timing))
     areas = by_run(table, area)
     costs = by_run(table, lambda part: net_returns(part, COSTS))
     late = too_late(asked)
@@ -265,7 +256,9 @@ def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list
     ]
     if MOUSE not in areas["agent"]:
         return told
-    ahead = lead(areas)
+    by_level = areas.filter(agent=MOUSE, granularity="level")
+    one, two = (by_level.filter(score=name).sort("run")["area"] for name in (ASTRAY, "entropy"))
+    ahead = float((one - two).min())  # pyrefly: ignore
     return [
         *told,
         Claim(
@@ -277,13 +270,6 @@ def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list
             ahead > AHEAD,
         ),
     ]
-
-
-def lead(areas: pl.DataFrame) -> float:
-    """Return the smallest difference over mice between the areas of goal and entropy scores."""
-    by_level = areas.filter(agent=MOUSE, granularity="level")
-    one, two = (by_level.filter(score=name).sort("run")["area"] for name in (ASTRAY, "entropy"))
-    return float((one - two).min())  # pyrefly: ignore
 
 
 EXPERIMENT = Experiment(
