@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -106,7 +107,9 @@ def predict(
         ImportError: If scikit-learn is not installed.
         ValueError: If a column is missing or constant, or an outcome is too rare.
     """
-    LogisticRegression = _sklearn()
+    with imports.extra("insight", "predictions need scikit-learn"):
+        from sklearn.linear_model import LogisticRegression
+    model = partial(LogisticRegression, l1_ratio=1.0, solver="liblinear", max_iter=1000)
     bounded("seed", seed, 0, MOST)
     of_kind("rows", rows, pl.DataFrame)
     for name in (outcome, *features):
@@ -143,11 +146,11 @@ def predict(
     x = (x - x.mean(0)) / deviation
     random = np.random.default_rng(seed)
     fold = random.permutation(np.arange(len(y)) % FOLDS)
-    strength = max(PENALTIES, key=lambda c: _left_out(x, y, fold, c, LogisticRegression)[1])
-    chances, _ = _left_out(x, y, fold, strength, LogisticRegression)
+    strength = max(PENALTIES, key=lambda c: _left_out(x, y, fold, model(C=c))[1])
+    chances, _ = _left_out(x, y, fold, model(C=strength))
 
     def coefficients(which: np.ndarray, columns: np.ndarray, c: float = strength) -> np.ndarray:
-        return _model(LogisticRegression, c).fit(x[which][:, columns], y[which]).coef_[0]
+        return model(C=c).fit(x[which][:, columns], y[which]).coef_[0]
 
     every, all_rows = np.arange(len(features)), np.arange(len(y))
     whole = coefficients(all_rows, every)
@@ -272,22 +275,12 @@ def _signs(
 
 
 def _left_out(
-    x: np.ndarray, y: np.ndarray, fold: np.ndarray, strength: float, model: Any
+    x: np.ndarray, y: np.ndarray, fold: np.ndarray, model: Any
 ) -> tuple[np.ndarray, float]:
     """Return each level's probability from a fit without its fold, and mean log likelihood."""
     chances = np.empty(len(y))
     for k in range(FOLDS):
-        fitted = _model(model, strength).fit(x[fold != k], y[fold != k])
+        fitted = model.fit(x[fold != k], y[fold != k])
         chances[fold == k] = fitted.predict_proba(x[fold == k])[:, 1]
     clipped = chances.clip(1e-9, 1 - 1e-9)
     return chances, float(np.mean(y * np.log(clipped) + (1 - y) * np.log(1 - clipped)))
-
-
-def _model(kind: Any, strength: float) -> Any:
-    return kind(l1_ratio=1.0, C=strength, solver="liblinear", max_iter=1000)
-
-
-def _sklearn() -> Any:
-    with imports.extra("insight", "predictions need scikit-learn"):
-        from sklearn.linear_model import LogisticRegression
-    return LogisticRegression
