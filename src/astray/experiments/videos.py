@@ -32,8 +32,8 @@ def write_video(
     level = mine.filter(pl.col("length") >= pl.col("length").quantile(0.75))["level"][0]
     names = (config.variant, between.test)
     pair = [(f"{name} {level}", config.variant_for(name)) for name in names]
-    shown = _played(agent, config.find_game(), pair, level, SIDE, LONGEST)
-    video.write_gif(_beside(shown, pair), path, fps=8)
+    frames, _ = _recorded(agent, config.find_game(), pair, level, SIDE, LONGEST)
+    video.write_gif(frames, path, fps=8)
 
 
 def write_pair(
@@ -57,10 +57,10 @@ def write_pair(
         A sentence if that episode is another one than the row's, or "".
     """
     most = min(longest or RECORDED, RECORDED)
-    shown = _played(player, game, variants, level, REPORTED, most)
-    video.write(_beside(shown, variants), path, fps)
+    frames, last = _recorded(player, game, variants, level, REPORTED, most)
+    video.write(frames, path, fps)
     return " Played again for this video, it did otherwise." * (
-        told is not None and not repeats(shown[-1], told, most)
+        told is not None and not repeats(last, told, most)
     )
 
 
@@ -76,22 +76,15 @@ def repeats(played: video.Episode, told: Mapping[str, Any], most: int) -> bool:
     return known == seen and len(played.rewards) == min(told["length"], most)
 
 
-def _played(
+def _recorded(
     player: Policy,
     game: Game | World,
     variants: Sequence[tuple[str, Any]],
     level: int,
     pixels: int,
     longest: int,
-) -> list[video.Episode]:
-    """Return the episodes of a level number in all variants."""
-    return [
-        video.play(player, game, variant, level, pixels=pixels, longest=longest)
-        for _, variant in variants
-    ]
-
-
-def _beside(shown: Sequence[video.Episode], variants: Sequence[tuple[str, Any]]) -> np.ndarray:
-    """Return frames [T, H, W, 3] uint8 of episodes side by side, with the variants' captions."""
-    frames = [one.frames for one in shown]
-    return video.beside(*frames, captions=[caption for caption, _ in variants])
+) -> tuple[np.ndarray, video.Episode]:
+    """Return frames [T, H, W, 3] uint8 of a level number in all variants, and the last episode."""
+    captions, played = zip(*variants, strict=True)
+    shown = [video.play(player, game, v, level, pixels=pixels, longest=longest) for v in played]
+    return video.beside(*(one.frames for one in shown), captions=captions), shown[-1]
