@@ -1,7 +1,6 @@
 """What does a mouse do if the cheese is subtracted from a layer's activations?"""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
@@ -37,20 +36,13 @@ PLACES = {"smoke": 64, "published": 16}  # of each level, its beginning among th
 SWEPT = 120  # levels in which other layers and coefficients are tried
 
 
-@dataclass(frozen=True)
-class Depth:
-    """Layers to steer, by the agent's network; `main` is the one of the claims."""
-
-    main: str
-    layers: tuple[str, ...]
-
-
-LAYERS: Mapping[Size, Depth] = {
-    "smoke": Depth("features.relu1", ("spread", "features.relu1", "features.relu2")),
-    "published": Depth("block2.residual1", (
+MAIN: Mapping[Size, str] = {"smoke": "features.relu1", "published": "block2.residual1"}  # of claims
+LAYERS: Mapping[Size, tuple[str, ...]] = {  # to steer, by the agent's network
+    "smoke": ("spread", "features.relu1", "features.relu2"),
+    "published": (
         "block1.conv", "block1.residual1", "block1.residual2", "block2.conv", "block2.residual1",
         "block2.residual2", "block3.conv", "block3.residual1", "block3.residual2", "features.relu",
-    )),
+    ),
 }  # fmt: skip
 
 
@@ -58,14 +50,12 @@ def find(work: Work) -> Findings:
     """Measure the probability of a step to the cheese, by condition, layer and coefficient."""
     agent, variant, levels = opened(work, WHERE)
     rows = work.keep("effects", lambda: steered(work.size, agent, variant, levels))
-    main = LAYERS[work.size].main
+    main = MAIN[work.size]
     shown = (PLAIN, SUBTRACTED, WITHOUT, ADDED, RANDOM, MEAN)
     found = {where: {name: of_levels(rows, where, name) for name in shown} for where in PLACED}
     said = found[SQUARE]
     few = rows.filter(pl.col("level") < SWEPT)  # the levels of all other layers and coefficients
-    depth = means(
-        few, {f"subtracted at {layer}": layer for layer in LAYERS[work.size].layers}, "layer"
-    )
+    depth = means(few, {f"subtracted at {layer}": layer for layer in LAYERS[work.size]}, "layer")
     base = [of_levels(few, SQUARE, one).mean for one in (PLAIN, WITHOUT)]
     by_dose = {f"{c:g} times": c for c in COEFFICIENTS}
     by_dose |= {PLAIN: 0.0, SUBTRACTED: -1.0, ADDED: 1.0}
@@ -130,7 +120,7 @@ def find(work: Work) -> Findings:
 
 def steered(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
     """Return `effects` of the main conditions in `levels` [N], of others in the first ones."""
-    main = object_vectors(agent, variant, levels, LAYERS[size].main)
+    main = object_vectors(agent, variant, levels, MAIN[size])
     random = [main.random(0)]
     conditions = {
         PLAIN: Condition(),
@@ -143,7 +133,7 @@ def steered(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> p
     some = levels[:SWEPT]
     swept = {
         f"subtracted at {layer}": Condition([object_vectors(agent, variant, some, layer)], -1.0)
-        for layer in LAYERS[size].layers
+        for layer in LAYERS[size]
     }
     swept |= {f"{c:g} times": Condition([main], c) for c in COEFFICIENTS}
     swept |= {f"random, {c:g} times": Condition(random, c) for c in COEFFICIENTS}
@@ -164,7 +154,7 @@ def means(rows: pl.DataFrame, names: Mapping[str, str | float], heading: str) ->
 def shapes(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
     """Return the lengths of each layer's vectors in `levels` [N], and their similarity."""
     rows = []
-    for layer in LAYERS[size].layers:
+    for layer in LAYERS[size]:
         vectors = object_vectors(agent, variant, levels[:SWEPT], layer)
         rows.append(
             {
