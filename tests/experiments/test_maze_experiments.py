@@ -123,11 +123,11 @@ def test_rates_are_of_those_that_go_to_either():
 
 def test_a_preference_flips_where_agents_surely_differ():
     pairs = offered(lambda colour, shape: MISGENERALIZED)
-    told = colour_or_shape.flips(colour_or_shape.by_agent(pairs))
+    told = colour_or_shape.flips(colour_or_shape.pair_table(pairs, "seed"))
     assert not told.supported and "2 of 2 agents go to the gem, 0 to the line" in told.ours
     seldom = pl.when(seed=1, outcome=MISGENERALIZED).then(pl.lit(INTENDED))
     pairs = pairs.with_columns(outcome=seldom.otherwise("outcome"))
-    told = colour_or_shape.flips(colour_or_shape.by_agent(pairs))
+    told = colour_or_shape.flips(colour_or_shape.pair_table(pairs, "seed"))
     assert told.supported and "1 of 2 agents go to the gem, 1 to the line" in told.ours
 
 

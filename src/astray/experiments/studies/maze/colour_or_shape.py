@@ -42,7 +42,8 @@ def find(work: Work) -> Findings:
     apart = work.episodes.filter("distinguishing", policy=AGENTS, test=test)
     gem, stuck = keeps_colour(apart), rate(apart, test, FAILED)
     pairs = work.keep("pairs", lambda: offer_pairs(work))
-    agents, symbolic = by_agent(pairs), work.plan.config.observation == "symbolic"
+    agents = pair_table(pairs, "seed").drop("agents")
+    symbolic = work.plan.config.observation == "symbolic"
     table = pair_table(pairs)
     new = table.filter(pl.col("colour") != COLOUR, pl.col("shape") != SHAPE)
     colours = new["keeps_colour"].drop_nulls().to_numpy()
@@ -149,25 +150,21 @@ def offer_pairs(work: Work) -> pl.DataFrame:
     return pl.concat(parts)
 
 
-def pair_table(pairs: pl.DataFrame) -> pl.DataFrame:
-    """Return for each pair: colour, shape, keeps_colour, low, high, neither, agents, levels."""
-    rows = []
-    for (colour, shape), part in pairs.group_by(["colour", "shape"], maintain_order=True):
+def pair_table(pairs: pl.DataFrame, *by: str) -> pl.DataFrame:
+    """Return for each pair, and each value of columns `by`, how many take which object.
+
+    Columns: `by`, colour, shape, keeps_colour, low, high, neither, agents, levels.
+    """
+    names, rows = (*by, "colour", "shape"), []
+    for key, part in pairs.group_by(names, maintain_order=True):
         chosen = keeps_colour(part)
         rows.append(
-            {"colour": colour, "shape": shape, "keeps_colour": chosen.mean, "low": chosen.low,
-             "high": chosen.high, "neither": (part["outcome"] == FAILED).mean(),
-             "agents": chosen.agents, "levels": chosen.levels}
+            dict(zip(names, key, strict=True))
+            | {"keeps_colour": chosen.mean, "low": chosen.low, "high": chosen.high,
+               "neither": (part["outcome"] == FAILED).mean(), "agents": chosen.agents,
+               "levels": chosen.levels}
         )  # fmt: skip
-    return pl.DataFrame(rows).fill_nan(None)
-
-
-def by_agent(pairs: pl.DataFrame) -> pl.DataFrame:
-    """Return the `pair_table` of each agent, with its seed."""
-    return pl.concat(
-        pair_table(part).drop("agents").insert_column(0, pl.lit(seed).alias("seed"))
-        for (seed,), part in pairs.group_by(["seed"], maintain_order=True)
-    )
+    return pl.DataFrame(rows, schema_overrides=pairs.select(names).schema).fill_nan(None)
 
 
 def flips(agents: pl.DataFrame) -> Claim:
