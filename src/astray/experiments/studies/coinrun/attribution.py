@@ -228,7 +228,8 @@ def maps_of_some(work: Work) -> pl.DataFrame:
                 continue
             one = states[[int(much.argmax())]]
             shown = observe(agent, variant, one)
-            row = {"name": f"{what}, {where}", "picture": grey(agent, variant, one)}
+            grey = picture("coinrun", variant, one, PIXELS, agent.art)[0].mean(2).round()
+            row = {"name": f"{what}, {where}", "picture": grey.astype(int).tolist()}
             for method, attribute in METHODS.items():
                 row[method] = flat(attribute(agent, shown)[0]).tolist()
             found.append(row)
@@ -244,12 +245,6 @@ def pictures(example: dict[str, Any]) -> list[Picture]:
         pale = 1 - 0.35 * (1 - image)
         found.append(Picture(method, pale, map_, (-1, 1), SIGNS, opacity=FADED))
     return found
-
-
-def grey(agent, variant, states: np.ndarray) -> list:
-    """Return the picture of one state to look at, [PIXELS, PIXELS] from 0 to 255."""
-    shown = picture("coinrun", variant, states, PIXELS, agent.art)[0]
-    return shown.mean(2).round().astype(int).tolist()
 
 
 def flat(one: np.ndarray) -> np.ndarray:

@@ -41,7 +41,13 @@ REMOVED, ADDED = "the coin in view removed", "a coin added to the view"
 def find(work: Work) -> Findings:
     """Measure the readings of each layer, and the effect of the coin on the policy."""
     agent, variant, levels = opened(work, WHERE)
-    states = functools.cache(lambda: visited(work.size, agent, variant, levels))
+
+    @functools.cache
+    def states() -> np.ndarray:
+        """Return states [K] before the end wall, from the agent's own episodes."""
+        _, found = visit(agent, variant, levels, per_episode=DRAWN[work.size], batch=128)
+        return found[found["x"] <= found["end_x"] + 1]
+
     told, folds = (LAYERS[work.size], {name: LABELS[name] for name in READ}), FOLDS[work.size]
     table = work.keep("probes", lambda: probes.probe(agent, variant, states(), *told, folds=folds))
     changes = work.keep("changes", lambda: changed(agent, variant, states()))
@@ -132,12 +138,6 @@ def draw(table: pl.DataFrame) -> Figure:
         pl.concat([*parts, chance], how="diagonal_relaxed"), x="layer", line="what", panel="panel",
         limits=(-0.25, 1.03), label="score",
     )  # fmt: skip
-
-
-def visited(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> np.ndarray:
-    """Return states [K] before the end wall, from the agent's own episodes in `levels` [N]."""
-    _, states = visit(agent, variant, levels, per_episode=DRAWN[size], batch=128)
-    return states[states["x"] <= states["end_x"] + 1]
 
 
 def changed(agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:

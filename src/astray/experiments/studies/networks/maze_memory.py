@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from astray.analysis.estimates import estimate_difference, estimate_mean
 from astray.analysis.outcomes import MISGENERALIZED, matrix
 from astray.experiments import outcomes
@@ -21,7 +19,8 @@ WHERE = "cheese anywhere"
 
 def find(work: Work) -> Findings:
     """Measure how often mice reach the cheese, and what those of the corner reach first."""
-    found = {name: cheese(work, name) for name in (PLAIN, MEMORY)}
+    anywhere = {name: outcomes.of(work, WHERE, name) for name in (PLAIN, MEMORY)}
+    found = {name: matrix(part, REACHED).astype(float) for name, part in anywhere.items()}
     corner = outcomes.first(work, WHERE, MISGENERALIZED)
     plain, memory = (rounded(estimate_mean(x).mean) for x in found.values())
     before, after = (
@@ -52,11 +51,6 @@ def find(work: Work) -> Findings:
         [outcomes.curve_plot(work)],
         agent=MEMORY_CORNER,
     )
-
-
-def cheese(work: Work, name: str) -> np.ndarray:
-    """Return whether the agents of a name reach the cheese in time, [agents, levels]."""
-    return matrix(outcomes.of(work, WHERE, name), REACHED).astype(float)
 
 
 def agents(anywhere: Config, corner: str) -> dict[str, Config]:
