@@ -42,7 +42,6 @@ SEED = 0
 
 
 def find(work: Work) -> Findings:
-    """Measure every type of trajectory on every map, and policies without a goal."""
     count = work.plan.levels
     settings = {map_: setting(world()) for map_, world in MAPS.items()}
     measured = pl.concat([measure_types(m, s, count) for m, s in settings.items()])

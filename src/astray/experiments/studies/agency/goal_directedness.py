@@ -35,7 +35,6 @@ PUBLISHED = "MEG falls as a policy errs more (Figure 4); not measured for mice"
 
 
 def find(work: Work) -> Findings:
-    """Measure every policy in every level that has both goals."""
     rows = work.keep("directedness", lambda: measured(work))
     mean = {
         (name, goal): of_levels(rows.filter(policy=name), "fraction", goal)

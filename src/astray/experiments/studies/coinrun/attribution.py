@@ -46,7 +46,6 @@ PIXELS = 208  # a side of a picture for people
 
 
 def find(work: Work) -> Findings:
-    """Measure the fraction of each map on each visible part, and show some maps."""
     every = work.keep("fractions", lambda: fractions(work))
     table, blanks = (every.filter(network=name) for name in (TRAINED, UNTRAINED))
     bars = group_means(table, "attribution", ["test", "method", "part"])

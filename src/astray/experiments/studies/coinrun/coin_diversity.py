@@ -41,7 +41,6 @@ FALL = 0.1  # of the fraction of episodes, at least, with 2 % of random coins: "
 
 
 def find(work: Work) -> Findings:
-    """Measure both failures against the fraction of random coins, with base rates."""
     trained = work.keep("in-training", lambda: in_training(work))
     blind = work.keep("blind", lambda: coin_at_end(work))
     table = curves(work, trained, blind)

@@ -37,7 +37,6 @@ CHANGE = Estimate.change
 
 
 def find(work: Work) -> Findings:
-    """Measure values by stage and coin, as in the paper, and in states with and without a coin."""
     table = work.keep("values", lambda: values(work))
     absent, trained = table.filter(test=NO_COIN), table.filter(test=TRAINED)
     table = table.filter(pl.col("test").is_in([HALF_AT_END, PAST_END]))

@@ -46,7 +46,6 @@ BATCH = 128  # states of 17 kB are copied at every step
 
 
 def find(work: Work) -> Findings:
-    """Compare visible and invisible coins in the same places of the same levels."""
     table = work.keep("episodes-by-place", lambda: episodes(work))
     order = pl.Enum([*TESTS, NONE, RIGHT_AND_JUMP.name])
     fates = group_rates(table, "fate", FATES, ["test"])

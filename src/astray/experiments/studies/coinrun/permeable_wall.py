@@ -42,7 +42,6 @@ PICTURES = 6
 
 
 def find(work: Work) -> Findings:
-    """Measure fates after the wall, and the critic's value on the way."""
     reached = at_wall(work.episodes)
     fates = (
         group_rates(reached, "fate", FATES, ["test", "who"])

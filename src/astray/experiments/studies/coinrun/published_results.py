@@ -22,7 +22,6 @@ CLOSE, APART = 0.05, 0.1  # differences of fractions that claims are held to
 
 
 def find(work: Work) -> Findings:
-    """Compare their outcomes with the script's, level by level."""
     theirs = read_results(catalogue.results_file(SOURCE)).sort("level").head(work.plan.levels)
     ours = work.keep("scripts", lambda: scripts(theirs["level"].to_numpy()))
     script = ours.filter(policy=SCRIPT).sort("level")

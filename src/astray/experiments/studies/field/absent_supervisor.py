@@ -12,7 +12,6 @@ from astray.training.config import SOLVER
 
 
 def find(work: Work) -> Findings:
-    """Compute how often the robot takes the shortcut."""
     watched, absent = work.plan.tests
     around = outcomes.rate(work.episodes, watched, INTENDED)
     through = outcomes.rate(work.episodes, absent, MISGENERALIZED)

@@ -13,7 +13,6 @@ SAILED = 25.0  # return of 100 steps that are sailed in rounds, of 16 cells with
 
 
 def find(work: Work) -> Findings:
-    """Compute the boat's return and its rounds."""
     train, test = work.plan.tests
     earned, rounds = (
         estimate_mean(outcomes.played(work, train, column)) for column in ("return", "rounds")

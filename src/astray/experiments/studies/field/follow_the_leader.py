@@ -13,7 +13,6 @@ ALONE = "without a partner"
 
 
 def find(work: Work) -> Findings:
-    """Compute how often the agent visits more right than wrong spheres, and its returns."""
     train, test, _ = work.plan.tests
     right = outcomes.rate(work.episodes, train, INTENDED)
     wrong = outcomes.rate(work.episodes, test, MISGENERALIZED)

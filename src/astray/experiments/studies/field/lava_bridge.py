@@ -12,7 +12,6 @@ LOWER = "with the gap lower"
 
 
 def find(work: Work) -> Findings:
-    """Compute how often the robot burns."""
     train, test, _ = work.plan.tests
     arrived = outcomes.rate(work.episodes, train, INTENDED)
     burnt = {

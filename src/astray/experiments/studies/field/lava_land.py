@@ -9,7 +9,6 @@ from astray.report.findings import Findings
 
 
 def find(work: Work) -> Findings:
-    """Compute how often the mouse steps on lava."""
     train, test = work.plan.tests
     reached = outcomes.rate(work.episodes, train, INTENDED)
     burnt = happens(work, test, "reached_lava")

@@ -14,7 +14,6 @@ LATER = "in long episodes"
 
 
 def find(work: Work) -> Findings:
-    """Compute the fraction of shields among the things that the knight picks up in safety."""
     train, test, _ = work.plan.tests
     gain = outcomes.beyond(work, train, "return")
     parts = []

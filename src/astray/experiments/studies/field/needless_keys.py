@@ -20,7 +20,6 @@ MORE = 0.1  # rate of levels by which one kind takes keys more often
 
 
 def find(work: Work) -> Findings:
-    """Compute how often thieves take the gem, and keys and doors that they do not need."""
     train, test = work.plan.tests
     behind, before = (
         estimate_mean(matrix(outcomes.of(work, where, NEEDED), GEM)) for where in (train, test)

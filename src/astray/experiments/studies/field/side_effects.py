@@ -8,7 +8,6 @@ from astray.report.findings import Findings
 
 
 def find(work: Work) -> Findings:
-    """Compute how often the robot arrives, pushes a box, and leaves one in a corner."""
     _, among = work.plan.tests
     arrived, pushed, stuck = (
         happens(work, among, event) for event in ("arrived", "pushed", "stuck")

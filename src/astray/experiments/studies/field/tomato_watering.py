@@ -13,7 +13,6 @@ GAIN = 20.0  # return of 100 steps beyond that of random moves, above which an a
 
 
 def find(work: Work) -> Findings:
-    """Compute the gardener's return, its hiding, and the fraction of watered tomatoes."""
     _, bucket = work.plan.tests
     earned = outcomes.played(work, bucket, "return")
     gain = outcomes.beyond(work, bucket, "return")

@@ -14,7 +14,6 @@ GAIN = 2.0  # trees in 100 steps beyond those of random moves, above which an ag
 
 
 def find(work: Work) -> Findings:
-    """Compute how many trees are felled, and how often none is left."""
     young, old = work.plan.tests
     gain = outcomes.beyond(work, young, pl.col("trees felled"))
     barer = outcomes.beyond(work, old, pl.col("bare").is_not_null())

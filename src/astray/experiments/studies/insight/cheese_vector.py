@@ -47,7 +47,6 @@ LAYERS: Mapping[Size, tuple[str, ...]] = {  # to steer, by the agent's network
 
 
 def find(work: Work) -> Findings:
-    """Measure the probability of a step to the cheese, by condition, layer and coefficient."""
     agent, variant, levels = opened(work, WHERE)
     rows = work.keep("effects", lambda: steered(work.size, agent, variant, levels))
     main = MAIN[work.size]

@@ -34,7 +34,6 @@ PUBLISHED = {  # the four features of Mini et al., and their coefficients there
 
 
 def find(work: Work) -> Findings:
-    """Measure how well distances predict the choice, and which published ones do."""
     agent, variant, levels = opened(work, WHERE)
     rows = work.keep("choices", lambda: choices(work, agent, variant, levels))
     told = rows.drop_nulls()

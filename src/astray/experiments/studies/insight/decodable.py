@@ -39,7 +39,6 @@ REMOVED, ADDED = "the coin in view removed", "a coin added to the view"
 
 
 def find(work: Work) -> Findings:
-    """Measure the readings of each layer, and the effect of the coin on the policy."""
     agent, variant, levels = opened(work, WHERE)
 
     @functools.cache

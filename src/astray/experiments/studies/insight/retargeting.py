@@ -27,7 +27,6 @@ TRIED, TARGETS = 4, 6  # cells of each level, in tuning and in the test
 
 
 def find(work: Work) -> Findings:
-    """Measure the preference for ways to target cells, for each method of retargeting."""
     agent, variant, levels = opened(work, WHERE)
     layer = LAYER[work.size]
     found = work.keep(

@@ -17,7 +17,6 @@ THIEF = "thief"
 
 
 def find(work: Work) -> Findings:
-    """Measure the use of keys, in training and in the test."""
     train, test = work.plan.tests
     episodes = hoarding.told(work)
 

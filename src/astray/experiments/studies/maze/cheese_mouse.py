@@ -32,7 +32,6 @@ RELIABLY, MOST = 0.95, 0.5  # rates that claims are held to; the first as for ou
 
 
 def find(work: Work) -> Findings:
-    """Measure outcomes by the maze's size, and the goal, compared with our own mouse."""
     tables = outcomes.outcome_tables(work)
     reached = rate(work.episodes, WHERE, INTENDED)
     mine = work.episodes.filter(policy=AGENTS).with_columns(agent=pl.col("seed"))

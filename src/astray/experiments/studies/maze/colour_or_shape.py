@@ -36,7 +36,6 @@ PAIRED = {"symbolic": 1000, "image": 200}
 
 
 def find(work: Work) -> Findings:
-    """Measure the mice's choices: in the paper's test, and between all pairs."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
     apart = work.episodes.filter("distinguishing", policy=AGENTS, test=test)

@@ -27,7 +27,6 @@ MARGIN = 0.1  # rate of levels: a smaller one is no tendency to the corner
 
 
 def find(work: Work) -> Findings:
-    """Measure which goal comes first, for each checkpoint and for random actions."""
     curve = development(work)
     found = {
         (row["steps"], row["outcome"]): row["mean"] for row in curve.drop_nulls("steps").to_dicts()

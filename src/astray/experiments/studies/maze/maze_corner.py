@@ -16,7 +16,6 @@ RELIABLY, SOON = 0.95, 0.8  # rates that "reliably" is held to, the latter of sh
 
 
 def find(work: Work) -> Findings:
-    """Measure the rates of outcomes, in training and in the test."""
     train, test = work.plan.tests
     reached = rate(work.episodes, train, INTENDED)
     first = {o: rate(work.episodes, test, o).mean for o in (MISGENERALIZED, INTENDED, FAILED)}

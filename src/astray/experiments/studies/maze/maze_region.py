@@ -27,7 +27,6 @@ LAST = 10  # the part of a training's iterations that its end is: the last tenth
 
 
 def find(work: Work) -> Findings:
-    """Measure how often mice reach the cheese, and what they reach first, by region."""
     (test,) = work.plan.tests
     regions = {name: region(config) for name, config in work.plan.agents.items()}
     smallest, *_, largest = regions

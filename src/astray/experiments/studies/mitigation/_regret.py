@@ -61,7 +61,6 @@ def plan(
 
 
 def find(proxy: str, work: Work) -> Findings:
-    """Measure misgeneralization, return and the buffer's contents, by method and fraction."""
     table, buffers, ceiling = by_fraction(work), in_buffers(work), against_training(work)
     told = {
         method: ", ".join(

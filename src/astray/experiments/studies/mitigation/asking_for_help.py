@@ -126,7 +126,6 @@ def timing(novice: Novice) -> pl.DataFrame:
 
 
 def find(work: Work) -> Findings:
-    """Measure curves of help, the areas under them, and the times of requests."""
     percentiles = FEWER if work.size == PUBLISHED else PERCENTILES
 
     @functools.cache

@@ -35,7 +35,6 @@ def paid(name: str) -> str:
 
 
 def find(work: Work) -> Findings:
-    """Measure the goals of agents whose few distinguishing levels came at different times."""
     train, test = work.plan.tests
     wrong, right = (outcomes.first(work, test, which) for which in (MISGENERALIZED, INTENDED))
 

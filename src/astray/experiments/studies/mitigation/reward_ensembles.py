@@ -56,7 +56,6 @@ def frames(variant: str, first: int, count: int, seed: int) -> Frames:
 
 
 def find(work: Work) -> Findings:
-    """Measure the hypotheses of every ensemble, and the labels needed to choose the right one."""
     table = work.keep("heads", lambda: heads(work.plan.levels))
     held = {kind: estimate_mean(of_ensembles(table, kind, CHEESE) >= HOLDS) for kind in KINDS}
     right = {k: estimate_mean(of_ensembles(table, MADE, f"chosen with {k}")) for k in LABELS}

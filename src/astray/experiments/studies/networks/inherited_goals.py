@@ -19,7 +19,6 @@ CAPABLE, ALIKE, APART = 0.9, 0.1, 0.1  # bounds of the claims
 
 
 def find(work: Work) -> Findings:
-    """Measure the goals of teachers and students in distinguishing levels."""
     train, test = work.plan.tests
     corner = outcomes.first(work, test, MISGENERALIZED)
     told = ", ".join(f"{name} {rounded(estimate_mean(x).mean)}" for name, x in corner.items())

@@ -18,7 +18,6 @@ WHERE = "cheese anywhere"
 
 
 def find(work: Work) -> Findings:
-    """Measure how often mice reach the cheese, and what those of the corner reach first."""
     anywhere = {name: outcomes.of(work, WHERE, name) for name in (PLAIN, MEMORY)}
     found = {name: matrix(part, REACHED).astype(float) for name, part in anywhere.items()}
     corner = outcomes.first(work, WHERE, MISGENERALIZED)

@@ -35,7 +35,6 @@ def name_of(game: str, network: str) -> str:
 
 
 def find(work: Work) -> Findings:
-    """Measure returns in training by game, network and seconds."""
     measured = outcomes.curves(work.runs).select(
         "agent", "seed", "steps", pl.col("training/return").cast(pl.Float64).alias("return")
     )

@@ -16,7 +16,6 @@ CAPABLE, LESS = 0.9, 0.1  # bounds of the claims
 
 
 def find(work: Work) -> Findings:
-    """Measure the goals of mice of both networks."""
     train, test = work.plan.tests
     corner, cheese, neither = (
         outcomes.first(work, test, outcome) for outcome in (MISGENERALIZED, INTENDED, FAILED)

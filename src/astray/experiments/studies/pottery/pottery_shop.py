@@ -14,7 +14,6 @@ from astray.training.config import PRESETS
 
 
 def find(work: Work) -> Findings:
-    """Compute the rates of outcomes, and where the shards end."""
     train, test = work.plan.tests
     reached = rate(work.episodes, train, INTENDED)
     to_corner, to_bin = (rate(work.episodes, test, o) for o in (MISGENERALIZED, INTENDED))

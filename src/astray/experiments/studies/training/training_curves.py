@@ -32,7 +32,6 @@ LAST = 10  # the end of a training: its last tenth
 
 
 def find(work: Work) -> Findings:
-    """Measure the curves of all agents, and the gaps at their ends."""
     measured = returns(work)
     shown, ended = curves(measured), ends(measured)
     told = [
