@@ -1,8 +1,10 @@
 """Charts of measured values: stacked bars of outcomes, points in rows, and curves.
 
-Each takes a table in long form and the names of its columns. The values are in columns mean, low
-and high; low and high are null without an interval. Panels, rows and series follow the table's
-order. Series differ in marker, dashes or hatching as well as in colour.
+Each takes a table in long form and the names of its columns: of rows and their parts, of groups,
+lines and panels. The values are in columns mean, low and high; low and high are null without an
+interval. Panels, rows and series follow the table's order. Series differ in marker, dashes or
+hatching as well as in colour. `label` is that of the axis of values, `limits` are its ends, and
+`columns` is the number of panels side by side.
 """
 
 from collections.abc import Mapping, Sequence
@@ -58,11 +60,7 @@ def bars(
     """Draw a stacked bar of fractions for each row.
 
     Args:
-        data: The table.
         colours: The colour of each part, in the order of a bar.
-        row: Column of the bars' names.
-        part: Column of the parts' names.
-        label: Label of the axis of fractions.
         panel: Column of panels, drawn one below the other.
         interval: The part whose interval is drawn.
 
@@ -133,17 +131,10 @@ def points(
     """Draw points with intervals, a row for each `row` with a mark for each `group`.
 
     Args:
-        data: The table.
-        row: Column of rows.
-        label: Label of the axis of values.
-        group: Column of groups.
-        panel: Column of panels.
         note: Column of text written at the end of rows.
         at: Values of reference lines, by label.
         percent: Whether the values are fractions, shown in percent.
-        limits: Ends of the axis of values.
         symlog: Value up to which the axis is linear; beyond, it is logarithmic.
-        columns: Number of panels side by side.
         sharex: Whether all panels share the axis of values.
     """
     names, looks = names_of(data, row), looks_of(names_of(data, group))
@@ -207,9 +198,6 @@ def curves(
     Args:
         data: The table; a NaN breaks a line, a null does not.
         x: Column of places: numbers, or words, which are spaced evenly.
-        label: Label of the axis of values.
-        line: Column of series.
-        panel: Column of panels.
         each: Column of a series' single members, drawn thin; null for the thick line.
         x_label: Label of the axis of places.
         at: Places of reference lines, by label.
@@ -217,8 +205,6 @@ def curves(
         even: Whether numbers are spaced evenly, too.
         whiskers: Whether intervals are whiskers.
         percent: Axes of fractions: "y", "x" or "xy".
-        limits: Ends of the axis of values.
-        columns: Number of panels side by side.
         sharey: Whether all panels share the axis of values.
         base: Series for comparison, dashed and dark.
     """

@@ -33,14 +33,9 @@ def cells(
     """Draw fractions as cells, with intervals if there are any.
 
     Args:
-        data: Columns x, y, panel and mean, low and high if there are intervals; a null cell is
-            empty.
+        data: Columns `x` and `y` of the settings, `panel` and mean, low and high if there are
+            intervals; a null cell is empty.
         colours: The colour of the largest fraction, by the beginning of the panel's name.
-        x: Column of the horizontal setting.
-        y: Column of the vertical setting.
-        panel: Column of panels.
-        x_label: Label of `x`.
-        y_label: Label of `y`.
         apart: Whether a line separates the first row and column.
     """
     xs, ys, panels = ticks_of(data[x], True), ticks_of(data[y], True), parts_of(data, panel)
