@@ -145,7 +145,6 @@ def goal_directedness(process: Process, policy: np.ndarray, goal: int) -> Direct
         0.368
 
     Args:
-        process: The decision process.
         policy: [S, A] float, probabilities of actions; those possible in a state sum to 1.
         goal: The state whose utility is 1; the episode ends there.
 

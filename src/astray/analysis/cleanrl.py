@@ -72,9 +72,7 @@ def from_cleanrl(
     """Make a policy of a .cleanrl_model file: the state_dict of a PPO script of CleanRL.
 
     Args:
-        path: The file.
         space: Space of one observation, as the agent saw it in its training.
-        game: Game or `World` that it plays.
         mode: "sampled" draws actions from the policy, "greedy" takes the most likely.
 
     Raises:

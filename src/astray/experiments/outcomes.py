@@ -158,11 +158,9 @@ def findings_of(
     agent: str | None = None,
     told: Mapping[str, str] | None = None,
 ) -> Findings:
-    """Return findings with the usual tables, plots and `videos`.
+    """Return findings with the usual tables, plots and `videos`, and the given ones.
 
     Args:
-        plots: Further plots.
-        tables: Further tables.
         agent: Name of the agents in the videos; None for the first ones.
         told: Further settings.
     """

@@ -364,11 +364,7 @@ def plan_of(
     """Return the plan of one kind of agent, trained and tested on the variants of a shift.
 
     Args:
-        agent: Name of the agents.
-        config: Their settings; game, variant and validation are those of the shift.
-        game: Name of the game.
-        shift: Name of the shift.
-        levels: As in `Plan`.
+        config: Settings of the agents; game, variant and validation are those of the shift.
         more: Further parts of the `Plan`.
     """
     between = load_shift(game, shift)

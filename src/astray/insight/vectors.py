@@ -151,8 +151,6 @@ class Condition:
     Attributes:
         vectors: Vectors to add to their layer's output: one per level, or the mean of all. Those
             of one layer add up.
-        coefficient: Factor of the vectors.
-        edit: Edit of the levels.
     """
 
     vectors: Sequence[Vectors] = ()

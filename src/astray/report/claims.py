@@ -56,10 +56,8 @@ def within(
     """Test the claim that a result is between two bounds.
 
     Args:
-        sentence: The claim.
         paper: The paper's statement about it.
         measured: Description of the result.
-        estimate: The result.
         bounds: Lower and upper bound of the whole interval.
         told: Method that formats the estimate; `Estimate.percent` formats bounds too.
         why: Further evidence about the reason, shown if the claim is not supported.

@@ -23,7 +23,6 @@ def learning_curves(
         data: Columns seed, steps, those of `series`, and agent if there are several names; nulls
             are skipped.
         series: Column -> its label.
-        label: Label of the axis of values.
         published: Curves of others, drawn dashed: columns agent, series (name), steps and mean.
     """
     agents = names_of(data, "agent") if "agent" in data else [""]

@@ -82,10 +82,6 @@ def write_page(
     """Write the figures of a page and the self-contained page; empty sections are left out.
 
     Args:
-        path: The page.
-        title: Its title.
-        sections: Its sections.
-        figures: Folder of the figures.
         how: Further variables of the template: `heading` and `answer` of a study, `beside` and
             `links` as in `write`, `sign` of the writer, and `lab`, the command that opens a lab.
     """

@@ -288,9 +288,7 @@ def experiment(
     """Return the experiment on a shift of Maze, in small worlds.
 
     Args:
-        knobs: Knobs of the variants.
         seen: Change of the observations from the paper's.
-        steps: Number of steps of each training.
         training: Other settings of the trainings that are not the preset's.
     """
     differences = (
