@@ -191,11 +191,7 @@ def played(work: Work, test: str, value: str | pl.Expr, policy: str = AGENTS) ->
 
 
 def beyond(work: Work, test: str, value: str | pl.Expr, policy: str = "random") -> Estimate:
-    """Estimate the agents' mean of an episode's value, minus that of a script in the same levels.
-
-    Raises:
-        ValueError: If they are of agents of several names.
-    """
+    """Estimate the agents' mean of an episode's value, minus a script's in the same levels."""
     mine, its = (played(work, test, value, which) for which in (AGENTS, policy))
     return estimate_paired(mine, its + 0 * mine)
 
