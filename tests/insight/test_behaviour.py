@@ -130,6 +130,14 @@ def test_an_outcome_that_few_levels_have_is_predicted_all_the_same():
         assert predict(rows, "y", ["x"], seed=seed).levels == 300
 
 
+def test_a_prediction_repeats_whatever_was_drawn_before(caused):
+    both = []
+    for drawn in (1, 2):
+        np.random.seed(drawn)  # noqa: NPY002  # scikit-learn's, unless it is given another
+        both.append(predict(caused, "outcome", ["cause", "alike", "other"], seed=3).features)
+    assert both[0].equals(both[1])
+
+
 def test_two_predictions_are_compared_in_the_same_levels():
     random = np.random.default_rng(0)
     x, noise = random.normal(size=(2, 400))

@@ -109,7 +109,9 @@ def predict(
     """
     with imports.extra("insight", "predictions need scikit-learn"):
         from sklearn.linear_model import LogisticRegression
-    model = partial(LogisticRegression, l1_ratio=1.0, solver="liblinear", max_iter=1000)
+    model = partial(
+        LogisticRegression, l1_ratio=1.0, solver="liblinear", max_iter=1000, random_state=seed
+    )
     bounded("seed", seed, 0, MOST)
     of_kind("rows", rows, pl.DataFrame)
     for name in (outcome, *features):
