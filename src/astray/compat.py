@@ -18,6 +18,7 @@ from gymnasium import spaces
 
 from astray import games
 from astray.envs.vector import GameVectorEnv
+from astray.kernel.grid import ACTIONS
 from astray.record import LEVELS
 from astray.validation import MOST, bounded, check_words, integers, of_kind, one_of
 
@@ -27,10 +28,7 @@ Taken = tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]
 EXPLORATION = {  # the one level of that mode
     "coinrun": 1949448038, "maze": 158988835, "heist": 876640971,
 }  # fmt: skip
-COMBOS = [
-    ("LEFT", "DOWN"), ("LEFT",), ("LEFT", "UP"), ("DOWN",), (), ("UP",), ("RIGHT", "DOWN"),
-    ("RIGHT",), ("RIGHT", "UP"), ("D",), ("A",), ("W",), ("S",), ("Q",), ("E",),
-]  # fmt: skip
+COMBOS = [() if name == "stay" else tuple(name.upper().split("-")) for name in ACTIONS]
 PICTURED = (
     "center_agent", "use_backgrounds", "use_monochrome_assets", "restrict_themes",
     "use_generated_assets", "paint_vel_info",

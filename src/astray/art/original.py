@@ -11,6 +11,7 @@ import functools
 import hashlib
 import io
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -38,10 +39,6 @@ DOWNLOAD = (
 INSIDE = "procgen/data/assets/"  # of a wheel
 FORK = "github.com/JacobPfau/procgenAISC"
 FORK_ALONE = ("kenney/Items/yellow_line_diag.png", "kenney/Items/red_line_diag.png")
-FLOORS = (
-    "topdown_backgrounds/floortiles.png",
-    *(f"topdown_backgrounds/backgrounddetailed{k}.png" for k in range(1, 9)),
-)
 COMMAND = "astray art import"
 SUM = hashlib.sha256().digest_size  # bytes
 LARGEST_WHEEL = 2**26  # bytes; Procgen's has 36 million
@@ -79,6 +76,14 @@ PICTURES = {
     row["path"]: Picture(row["path"], int(row["bytes"]), row["sha256"])
     for row in _table("original.csv")
 }
+
+
+def paths(pattern: str) -> list[str]:
+    """Return the paths that match a regular expression, in the order in which Procgen has them."""
+    return [path for path in PICTURES if re.fullmatch(pattern, path)]
+
+
+FLOORS = paths("topdown_backgrounds/.*")
 # As ASSET_LICENSES.md of github.com/openai/procgen has them, of all its games' pictures; the two
 # lines are the fork's own, which has Procgen's licence (MIT).
 LICENCES = _table("licences.csv")

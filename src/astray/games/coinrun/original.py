@@ -26,51 +26,17 @@ from astray.kernel.jit import kernel, shared
 from astray.kernel.qt import around, blit, blit_faded, camera
 
 SEEN = F(VIEW) / F(2) + F(1)  # cells from the runner to the last that are looked at
-PLAYERS = ("Beige", "Blue", "Green", "Pink", "Yellow")
-GROUND = ("Dirt", "Grass", "Planet", "Sand", "Snow", "Stone")
-ENEMIES = (
-    "slimeBlock", "slimePurple", "slimeBlue", "slimeGreen", "mouse", "snail", "ladybug",
-    "wormGreen", "wormPink",
-)  # fmt: skip
-BEHIND = {
-    "platform_backgrounds": (
-        "alien_bg", "another_world_bg", "back_cave", "caverns", "cyberpunk_bg", "parallax_forest",
-        "scifi_bg", "scifi2_bg", "living_tissue_bg", "airadventurelevel1", "airadventurelevel2",
-        "airadventurelevel3", "airadventurelevel4", "cave_background", "blue_desert", "blue_grass",
-        "blue_land", "blue_shroom", "colored_desert", "colored_grass", "colored_land",
-        "colored_shroom", "landscape1", "landscape2", "landscape3", "landscape4", "battleback1",
-        "battleback2", "battleback3", "battleback4", "battleback5", "battleback6", "battleback7",
-        "battleback8", "battleback9", "battleback10", "sunrise",
-    ),
-    "platform_backgrounds_2": (
-        "beach1", "beach2", "beach3", "beach4", "fantasy1", "fantasy2", "fantasy3", "fantasy4",
-        "candy1", "candy2", "candy3", "candy4",
-    ),
-    "space_backgrounds": (
-        "deep_space_01", "spacegen_01", "milky_way_01", "ez_space_lite_01", "meyespace_v1_01",
-        "eye_nebula_01", "deep_sky_01", "space_nebula_01", "Background-1", "Background-2",
-        "Background-3", "Background-4", "parallax-space-backgound",
-    ),
-}  # fmt: skip
-BOXES = ("boxCrate", "boxCrate_double", "boxCrate_single", "boxCrate_warning")
 # The pictures in the order of their numbers, and the number of the first of each kind.
 KINDS = {
-    "backgrounds": [f"{folder}/{name}.png" for folder, names in BEHIND.items() for name in names],
-    "centres": [f"kenney/Ground/{name}/{name.lower()}Center.png" for name in GROUND],
-    "tops": [f"kenney/Ground/{name}/{name.lower()}Mid.png" for name in GROUND],
-    "lava": ["kenney/Tiles/lava.png"],
-    "lava top": ["kenney/Tiles/lavaTop_low.png"],
-    "coin": ["kenney/Items/coinGold.png"],
-    "saws": ["kenney/Enemies/sawHalf.png", "kenney/Enemies/sawHalf_move.png"],
-    "crates": [f"kenney/Tiles/{name}.png" for name in BOXES],
-    "walkers": [f"kenney/Enemies/{name}{move}.png" for name in ENEMIES for move in ("", "_move")],
-    "runners": [
-        f"kenney/Players/128x256/{name}/alien{name}_{pose}.png"
-        for name in PLAYERS
-        for pose in ("stand", "walk1", "walk2")
-    ],
-    "puff": ["misc_assets/iconCircle_white.png"],
-}
+    name: original.paths(pattern)
+    for name, pattern in {
+        "backgrounds": "(platform|space)_backgrounds.*", "centres": "kenney/Ground/.*Center.png",
+        "tops": "kenney/Ground/.*Mid.png", "lava": ".*/lava.png", "lava top": ".*/lavaTop_low.png",
+        "coin": ".*/coinGold.png", "saws": ".*/sawHalf.*", "crates": ".*/boxCrate.*",
+        "walkers": "kenney/Enemies/(?!saw).*", "runners": "kenney/Players/.*",
+        "puff": ".*/iconCircle_white.png",
+    }.items()
+}  # fmt: skip
 PICTURES = tuple(path for paths in KINDS.values() for path in paths)
 (BACKGROUND_PLACE, CENTRE_PLACE, TOP_PLACE, LAVA_PLACE, LAVA_TOP_PLACE, COIN_PLACE, SAW_PLACE,
  CRATE_PLACE, WALKER_PLACE, RUNNER_PLACE, PUFF_PLACE) = (
