@@ -110,23 +110,6 @@ def blend(image, row, column, over):
         image[row, column, 2] = (over >> 16 & 255) + (mixed >> 32)
 
 
-@shared
-def blit(image, pixels, place, rect, mirrored):
-    """Draw a picture or its mirror image into a rectangle."""
-    begin, height, width = place[0], place[1], place[2]
-    left, top, wide, high = rect
-    side = image.shape[0]
-    first_x, after_x, base_x, step_x = span(left, wide, side, width, SPRITE)
-    first_y, after_y, base_y, step_y = span(top, high, side, height, SPRITE)
-    for row in range(first_y, after_y):
-        line = begin + ((base_y + (row - first_y) * step_y) >> 16) * width
-        for column in range(first_x, after_x):
-            u = (base_x + (column - first_x) * step_x) >> 16
-            if mirrored:
-                u = width - 1 - u
-            blend(image, row, column, np.int64(pixels[line + u]))
-
-
 @kernel
 def faded(over, opacity):
     """Return a pixel multiplied by `opacity` / 255."""
@@ -139,8 +122,8 @@ def faded(over, opacity):
 
 
 @shared
-def blit_faded(image, pixels, place, rect, opacity, rule):
-    """Draw a picture into a rectangle with `opacity` / 255."""
+def blit(image, pixels, place, rect, mirrored, opacity=255, rule=SPRITE):
+    """Draw a picture or its mirror image into a rectangle with `opacity` / 255."""
     begin, height, width = place[0], place[1], place[2]
     left, top, wide, high = rect
     side = image.shape[0]
@@ -149,8 +132,11 @@ def blit_faded(image, pixels, place, rect, opacity, rule):
     for row in range(first_y, after_y):
         line = begin + ((base_y + (row - first_y) * step_y) >> 16) * width
         for column in range(first_x, after_x):
-            over = np.int64(pixels[line + ((base_x + (column - first_x) * step_x) >> 16)])
-            blend(image, row, column, faded(over, opacity))
+            u = (base_x + (column - first_x) * step_x) >> 16
+            if mirrored:
+                u = width - 1 - u
+            over = np.int64(pixels[line + u])
+            blend(image, row, column, faded(over, opacity) if opacity < 255 else over)
 
 
 @shared

@@ -23,7 +23,7 @@ from astray.games.coinrun.rules import (
 )
 from astray.kernel.cells import OPEN, paint_cells
 from astray.kernel.jit import kernel, shared
-from astray.kernel.qt import around, blit, blit_faded, camera
+from astray.kernel.qt import around, blit, camera
 
 SEEN = F(VIEW) / F(2) + F(1)  # cells from the runner to the last that are looked at
 # The pictures in the order of their numbers, and the number of the first of each kind.
@@ -141,7 +141,7 @@ def draw_trails(s, pixels, places, rule, seen, image):
                 for _ in range(age):
                     y += PUFF_RISE
                 rect = around(seen, x, y, PUFF_HALF[age, 0], PUFF_HALF[age, 1])
-                blit_faded(image, pixels, places[PUFF_PLACE], rect, PUFF_LEFT[age], rule)
+                blit(image, pixels, places[PUFF_PLACE], rect, False, PUFF_LEFT[age], rule)
 
 
 @kernel
