@@ -9,7 +9,7 @@ import numpy as np
 
 from astray.kernel.grid import MOVES, UNREACHABLE, push
 from astray.kernel.jit import entry, kernel, shared
-from astray.kernel.maze import AS_NUMBERED, FLOORS, WALL
+from astray.kernel.maze import AS_NUMBERED, FLOORS, WALL, is_wall
 from astray.kernel.rng import below, unit, wind
 
 # Lengths are float32, as all of the original's; so is all arithmetic on them.
@@ -67,11 +67,10 @@ def move(s, action, tie, locked):
     free_x, free_y = 0, 0  # parts of the way on which nothing was in the way
     for _ in range(PARTS):
         met_x, met_y = False, False
-        for turn in range(2):  # once in the code for each axis, as both are inlined
-            if x_first == (turn == 0):
-                met_x = slide_x(s, s.vx * PART, locked)
-            else:
-                met_y = slide_y(s, s.vy * PART, locked)
+        for turn in range(2):
+            across = x_first == (turn == 0)
+            met = slide(s, (s.vx if across else s.vy) * PART, across, locked)
+            met_x, met_y = met_x or (met and across), met_y or (met and not across)
         free_x += not met_x
         free_y += not met_y
         if met_x and met_y:
@@ -87,50 +86,29 @@ def pushed(v, push):
 
 
 @kernel
-def slide_x(s, way, locked):
-    """Move by `way` in x, or up to a wall or locked door; return whether there was one."""
+def slide(s, way, across, locked):
+    """Move by `way` in x if `across`, else in y; return whether a wall or locked door was met."""
     if way == 0:
         return False
-    x = s.x + way
+    at, beside = (s.x, s.y) if across else (s.y, s.x)
+    at = at + way
     # Of the box's four corners the two behind cannot be in a wall that those in front are not in.
-    front = x + CORNER if way > 0 else x - CORNER
-    met = is_wall(s, front, s.y - CORNER) or is_wall(s, front, s.y + CORNER)
+    front, met = at + CORNER if way > 0 else at - CORNER, False
+    for corner in (beside - CORNER, beside + CORNER):
+        x, y = (front, corner) if across else (corner, front)
+        met = met or is_wall(s, int(np.floor(x)), int(np.floor(y)))
     if met:
-        x = F(np.floor(x + HALF)) - HALF if way > 0 else F(np.ceil(x - HALF)) + HALF
-    s.x = x
+        at = F(np.floor(at + HALF)) - HALF if way > 0 else F(np.ceil(at - HALF)) + HALF
+    s.x, s.y = (at, beside) if across else (beside, at)
     if locked:
         for k in range(s.objects - 1, -1, -1):
             if locked >> k & 1 and touches(s, k, IN_DOOR, IN_DOOR):
-                edge = s.object_x[k] + F(sign(s.x - s.object_x[k])) * DOOR
-                s.x, s.vx, met = s.x + (edge - s.x), F(0), True
+                door = s.object_x[k] if across else s.object_y[k]
+                edge = door + F(sign(at - door)) * DOOR
+                at, met = at + (edge - at), True
+                s.x, s.y = (at, beside) if across else (beside, at)
+                s.vx, s.vy = (F(0), s.vy) if across else (s.vx, F(0))
     return met
-
-
-@kernel
-def slide_y(s, way, locked):
-    """Move by `way` in y, or up to a wall or locked door; return whether there was one."""
-    if way == 0:
-        return False
-    y = s.y + way
-    front = y + CORNER if way > 0 else y - CORNER
-    met = is_wall(s, s.x - CORNER, front) or is_wall(s, s.x + CORNER, front)
-    if met:
-        y = F(np.floor(y + HALF)) - HALF if way > 0 else F(np.ceil(y - HALF)) + HALF
-    s.y = y
-    if locked:
-        for k in range(s.objects - 1, -1, -1):
-            if locked >> k & 1 and touches(s, k, IN_DOOR, IN_DOOR):
-                edge = s.object_y[k] + F(sign(s.y - s.object_y[k])) * DOOR
-                s.y, s.vy, met = s.y + (edge - s.y), F(0), True
-    return met
-
-
-@kernel
-def is_wall(s, x, y):
-    """Return whether (x, y) is in a wall or outside of the world."""
-    if x < 0 or y < 0 or x >= s.world or y >= s.world:
-        return True
-    return s.cell[int(y), int(x)] == WALL
 
 
 @kernel
