@@ -7,6 +7,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from astray.kernel.jit import kernel
 from astray.kernel.rng import RNG_FIELDS, WORDS
 from astray.protocols import Rules
 from astray.validation import MOST, integers
@@ -161,6 +162,12 @@ def count_levels(levels: Any) -> int:
     if counts.max() > 1:  # intervals would count it as several
         raise ValueError(f"level {known[counts.argmax()]} is given {counts.max()} times")
     return len(known)
+
+
+@kernel
+def first(s, event, happens=True):
+    """Return the step at which an event first happened, which is now if it `happens` only now."""
+    return s.time if happens and event == NEVER else event
 
 
 def centre(s: Any) -> list[float]:

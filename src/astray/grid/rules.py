@@ -7,6 +7,7 @@ import numpy as np
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below, mix_two, seed_twister
 from astray.record import NEVER, state_dtype
+from astray.record import first as first
 
 ACTIONS = ("stay", "left", "right", "down", "up")
 DX, DY = np.array([0, -1, 1, 0, 0, 0, 0, 0]), np.array([0, 0, 0, -1, 1, 0, 0, 0])  # by action
@@ -116,12 +117,6 @@ def walk(s, action):
     x, y = s.x + DX[action], s.y + DY[action]
     if is_open(s, x, y):
         s.x, s.y = x, y
-
-
-@kernel
-def first(s, event):
-    """Return the step at which an event first happened, given that it happens now."""
-    return s.time if event == NEVER else event
 
 
 @kernel

@@ -9,7 +9,7 @@ from astray.kernel.grid import ACTIONS as ACTIONS
 from astray.kernel.grid import push
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
-from astray.record import NEVER, state_dtype
+from astray.record import NEVER, first, state_dtype
 
 WORLD = 64  # cells a side
 WALKERS = 48  # at most in a level; the original has up to 35
@@ -313,14 +313,12 @@ def meet(s):
             cell = s.cell[y, x]
             if cell == COIN:
                 reward += REWARD
-                if s.took_coin == NEVER:
-                    s.took_coin = s.time
+                s.took_coin = first(s, s.took_coin)
                 ended = not s.continues
                 if s.continues:  # the original goes on whatever happened before
                     saw, walker, lava = False, False, False
             elif cell == INVISIBLE:
-                if s.took_invisible == NEVER:
-                    s.took_invisible = s.time
+                s.took_invisible = first(s, s.took_invisible)
             elif is_lava(cell):
                 lava, ended = True, True
     note_death(s, saw, walker, lava)
@@ -379,11 +377,10 @@ def note_places(s):
     left, right = s.x - HALF, s.x + HALF
     wall = F(s.end_x) + ONE
     beside = s.y + TALL - NEAR >= F(s.end_y) and s.y - TALL + NEAR < F(s.end_y) + ONE
-    if s.reached_end == NEVER and ((right - NEAR >= F(s.end_x) and beside) or left >= wall):
-        s.reached_end = s.time
-    if s.touched_wall == NEVER and right >= wall:
-        s.touched_wall = s.time
-    if s.passed_wall == NEVER and s.permeable > 0 and left >= wall + F(s.permeable):
-        s.passed_wall = s.time
-    if s.passed_coin == NEVER and s.coin_x != NEVER and left >= F(s.coin_x) + ONE:
-        s.passed_coin = s.time
+    at_end = (right - NEAR >= F(s.end_x) and beside) or left >= wall
+    is_beyond = s.permeable > 0 and left >= wall + F(s.permeable)
+    s.reached_end = first(s, s.reached_end, at_end)
+    s.touched_wall = first(s, s.touched_wall, right >= wall)
+    s.passed_wall = first(s, s.passed_wall, is_beyond)
+    is_right = s.coin_x != NEVER and left >= F(s.coin_x) + ONE
+    s.passed_coin = first(s, s.passed_coin, is_right)

@@ -6,7 +6,7 @@ from astray.kernel.grid import ACTIONS as ACTIONS
 from astray.kernel.jit import kernel
 from astray.kernel.rng import below
 from astray.kernel.thief import DOOR, HALF, KEY_HIGH, KEY_WIDE, TIES, F, fields, move, touches
-from astray.record import NEVER, state_dtype
+from astray.record import NEVER, first, state_dtype
 
 LARGEST = 23  # cells a side of the largest world
 MOST = 16  # objects in a level; the original has up to 7
@@ -101,9 +101,3 @@ def note(s, what):
     s.opened_red = first(s, s.opened_red, what == DOOR_CODE + 2)
     s.all_keys = first(s, s.all_keys, what < DOOR_CODE and s.hand == s.keys)
     s.reached_gem = first(s, s.reached_gem, what == GEM)
-
-
-@kernel
-def first(s, before, happens):
-    """Return the step in which an event first happened, or NEVER."""
-    return s.time if happens and before == NEVER else before

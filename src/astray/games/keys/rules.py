@@ -6,7 +6,7 @@ from astray.kernel.grid import ACTIONS as ACTIONS
 from astray.kernel.jit import kernel
 from astray.kernel.rng import below
 from astray.kernel.thief import HALF, KEY_WIDE, TIES, F, fields, move, touches
-from astray.record import NEVER, state_dtype
+from astray.record import NEVER, first, state_dtype
 
 LARGEST = 23  # cells a side of the largest world
 MOST = 36  # objects in a level
@@ -82,8 +82,7 @@ def take(s, k, reward):
     """Take key `k`; return the updated reward."""
     s.gone[k] = s.time
     s.taken += 1
-    if s.first_key == NEVER:
-        s.first_key = s.time
+    s.first_key = first(s, s.first_key)
     if s.taken == s.keys:
         s.all_keys = s.time
         if s.opened < min(s.keys, s.chests):
@@ -96,8 +95,7 @@ def unlock(s, k, reward):
     """Open chest `k` with a key; return the updated reward and whether it was the last chest."""
     s.gone[k], s.had[k] = s.time, s.taken - s.opened
     s.opened += 1
-    if s.first_chest == NEVER:
-        s.first_chest = s.time
+    s.first_chest = first(s, s.first_chest)
     done = s.opened == min(s.keys, s.chests)  # as many as there are, or as there were keys for
     if done:
         s.all_chests = s.time
@@ -111,8 +109,7 @@ def pass_by(s, k):
     """Record that chest `k` is touched without a key."""
     if not (s.touched >> k) & 1:
         s.passed += 1
-    if s.passed_chest == NEVER:
-        s.passed_chest = s.time
+    s.passed_chest = first(s, s.passed_chest)
 
 
 @kernel

@@ -6,7 +6,7 @@ from astray.kernel.grid import ACTIONS as ACTIONS
 from astray.kernel.grid import push
 from astray.kernel.jit import kernel
 from astray.kernel.maze import is_wall
-from astray.record import NEVER, state_dtype
+from astray.record import first, state_dtype
 
 LARGEST = 31  # cells a side of the largest world
 EMPTY, GOAL, OTHER, BOTH = 0, 2, 3, 4  # what is in a cell, if not WALL; BOTH: goal on other
@@ -53,9 +53,6 @@ def step(s, action):
 def note_arrivals(s):
     """Record the step of each event that happens for the first time."""
     x, y = int(s.x), int(s.y)
-    if s.reached_goal == NEVER and x == s.goal_x and y == s.goal_y:
-        s.reached_goal = s.time
-    if s.reached_corner == NEVER and x == s.corner_x and y == s.corner_y:
-        s.reached_corner = s.time
-    if s.reached_other == NEVER and x == s.other_x and y == s.other_y:
-        s.reached_other = s.time
+    s.reached_goal = first(s, s.reached_goal, x == s.goal_x and y == s.goal_y)
+    s.reached_corner = first(s, s.reached_corner, x == s.corner_x and y == s.corner_y)
+    s.reached_other = first(s, s.reached_other, x == s.other_x and y == s.other_y)
