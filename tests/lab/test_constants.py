@@ -93,6 +93,7 @@ def test_the_page_has_the_number_of_levels_and_the_size_of_the_thief_from_python
               const take = (path) => import(new URL(path, location.href));
               const { fromLink } = await take("link.js");
               const { look } = await take("games/thief.js");
+              const { Brush } = await take("games/common.js");
               const about = { games: { keys: { variants: { hard: 0 } } }, agents: {} };
               const { wrong } = await fromLink("#game=keys&variant=hard&level=100", about);
               const drawn = [];
@@ -100,7 +101,7 @@ def test_the_page_has_the_number_of_levels_and_the_size_of_the_thief_from_python
                 if (name === "drawImage") drawn.push(...where);
               } });
               const s = { x: 0, y: 0, objects: 0, facing: 7 };
-              const brush = { paint, scale: 10, top: 0 };
+              const brush = new Brush(paint, 10, 0);
               look(null, () => []).moving(brush, null, s, { get: () => "a picture" });
               return [wrong, drawn];
             }"""

@@ -156,22 +156,17 @@ export class Stage {
 
   #marks(brush) {
     const { lab } = this;
-    const { paint, scale, top } = brush;
     const ink = themed(this.canvas, "--held");
     const { view } = lab.look;
     if (view && !lab.broken && !lab.part("zoom").checked) {
       const { x, y } = this.state;
-      for (const [style, width] of [["rgba(255,255,255,.8)", 4], [ink, 2]]) {
-        paint.strokeStyle = style;
-        paint.lineWidth = width;
-        paint.strokeRect((x - view / 2) * scale, (top - y - view / 2) * scale, view * scale, view * scale);
-      }
+      brush.square(x - view / 2, y - view / 2, view);
+      for (const [style, width] of [["rgba(255,255,255,.8)", 4], [ink, 2]]) brush.stroke(style, 0, width);
     }
     const { cursor } = lab.editor;
     if (cursor) {
-      paint.strokeStyle = ink;
-      paint.lineWidth = Math.max(2, 0.08 * scale);
-      paint.strokeRect(cursor[0] * scale, (top - cursor[1] - 1) * scale, scale, scale);
+      brush.square(...cursor, 1);
+      brush.stroke(ink, 0.08, 2);
     }
   }
 

@@ -8,13 +8,14 @@ export class Brush {
     Object.assign(this, { paint, scale, top });
   }
 
-  // A picture centred at (x, y), so many cells wide and high.
-  stamp(image, x, y, width = 1, height = width, flipped = false) {
+  // A picture centred at (x, y), so many cells wide and high, turned clockwise by an angle.
+  stamp(image, x, y, width = 1, height = width, flipped = false, angle = 0) {
     if (!image) return;
     const { paint, scale, top } = this;
     paint.save();
     paint.translate(x * scale, (top - y) * scale);
     if (flipped) paint.scale(-1, 1);
+    paint.rotate(angle);
     paint.drawImage(
       image, (-width / 2) * scale, (-height / 2) * scale, width * scale, height * scale,
     );
@@ -44,6 +45,12 @@ export class Brush {
     this.paint.beginPath();
     points.forEach(([x, y], k) =>
       this.paint[k ? "lineTo" : "moveTo"](x * this.scale, (this.top - y) * this.scale));
+  }
+
+  // Begins a path around a square, from its lower left corner on.
+  square(x, y, side) {
+    this.path([[x, y], [x + side, y], [x + side, y + side], [x, y + side]]);
+    this.paint.closePath();
   }
 
   circle(x, y, radius) {

@@ -27,12 +27,8 @@ function object(brush, shape, colour, x, y, pictures) {
     brush.stamp(pictures.tint(shape, colour), x + 0.5, y + 0.5, 0.84);
     return;
   }
-  const { paint, scale, top } = brush;
-  paint.setLineDash([0.12 * scale, 0.1 * scale]);
-  paint.strokeStyle = UNSEEN;
-  paint.lineWidth = 0.05 * scale;
-  paint.strokeRect((x + 0.2) * scale, (top - y - 0.8) * scale, 0.6 * scale, 0.6 * scale);
-  paint.setLineDash([]);
+  brush.square(x + 0.2, y + 0.2, 0.6);
+  brush.stroke(UNSEEN, 0.05, 0, [0.12, 0.1]);
 }
 
 // The cells that a proxy of the goals is at, to be marked.

@@ -23,16 +23,9 @@ export const look = (thing, hand) => ({
 });
 
 function thief(brush, s, pictures) {
-  const { paint, scale, top } = brush;
-  const half = body.HALF * scale;
   const [dx, dy] = body.PUSHES[s.facing];
   const oblique = dx !== 0 && dy !== 0;
   const image = pictures.get(oblique ? "thief-right-up" : "thief-right");
   const quarters = Math.floor(((2 * Math.atan2(dy, dx)) / Math.PI + 4) % 4);
-  if (!image) return;
-  paint.save();
-  paint.translate(s.x * scale, (top - s.y) * scale);
-  paint.rotate((-quarters * Math.PI) / 2);
-  paint.drawImage(image, -half, -half, 2 * half, 2 * half);
-  paint.restore();
+  brush.stamp(image, s.x, s.y, 2 * body.HALF, 2 * body.HALF, false, (-quarters * Math.PI) / 2);
 }
