@@ -61,15 +61,15 @@ class Levels(Protocol):
 
     Examples:
         >>> maze = astray.games.find("maze")
-        >>> s = np.zeros(1, maze.state)[0]
+        >>> s = astray.record.fresh(maze.rules)[0]
         >>> maze.levels.generate(s, maze.variant("corner").records()[0])
     """
 
     def generate(self, s: Any, p: Any, /) -> None:
         """Fill `s` with a new level, in compiled code.
 
-        The random generator in `s` is seeded and the common fields are set. All other fields still
-        hold their values from the previous level.
+        The random generator in `s` is seeded and the common fields are set. All other fields are 0,
+        and events have not happened.
         """
         ...
 

@@ -49,6 +49,14 @@ def record_dtype(columns: list[tuple]) -> np.dtype:
     return np.dtype((np.record, np.dtype(columns, align=True)))
 
 
+def fresh(rules: Rules) -> np.ndarray:
+    """Return a state [1] of zeros, in which no event has happened."""
+    states = np.zeros(1, rules.STATE)
+    for event in rules.EVENTS:
+        states[event] = NEVER
+    return states
+
+
 COMMON = frozenset(state_dtype().names or ())  # fields that the states of all games have
 
 

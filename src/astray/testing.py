@@ -166,9 +166,7 @@ def check_levels(game: Game, variant: Variant) -> None:
         again, info = env.reset(options={"level": [9, 8, 7]})
         for name in {*(game.state.names or ())} - {"seed", "turn"}:
             same = np.array_equal(begun[name], env.get_state()[name][::-1])
-            assert same, (
-                f"`generate` leaves {name!r} as it was in the last episode, or takes it from `turn`"
-            )
+            assert same, f"`generate` takes {name!r} from `turn`, or from what no state holds"
         assert np.array_equal(first, again[::-1]), f"the level began in another way: {DRAWN}"
         assert info["level"].tolist() == [9, 8, 7]
 

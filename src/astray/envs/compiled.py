@@ -5,6 +5,7 @@ import re
 import traceback
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numba.core.errors import NumbaError, loc_info  # pyrefly: ignore
@@ -14,6 +15,7 @@ from astray.envs.pool import alone
 from astray.game import OWN, Game, Looks
 from astray.imports import announced
 from astray.kernel.jit import kernel, one_at_a_time, renewed, shared, specialise
+from astray.record import fresh
 from astray.validation import brief, shown
 
 SILENT = 2.0  # seconds of compiling before it is announced
@@ -55,7 +57,8 @@ def _loop_of(game: Game, art: str, _values: str) -> Callable:
     functions["background_of"] = specialise(loops.background_of_any, label, shared, **functions)
     functions["begin_one"] = specialise(loops.begin, label, shared, **functions)
     functions["observe_one"] = specialise(loops.observe, label, kernel, **functions)
-    return specialise(loops.run, label, ACTIONS=len(game.actions), **functions)
+    names: dict[str, Any] = {"ACTIONS": len(game.actions), "FRESH": fresh(game.rules)}
+    return specialise(loops.run, label, **names, **functions)
 
 
 @functools.cache

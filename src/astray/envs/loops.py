@@ -22,8 +22,9 @@ def unbound(*_: object) -> Any:
     raise NotImplementedError
 
 
-# Bound to the number of a game's actions, and to its functions of the same names: see `protocols`.
-ACTIONS = 0
+# Bound to the number of a game's actions, to a state of `record.fresh`, and to its functions of the
+# same names: see `protocols`.
+ACTIONS, FRESH = 0, np.empty(0)
 generate = step = background = foreground = unbound
 # Bound to `begin`, `background_of_any` and `observe`, once these are bound to a game.
 begin_one = background_of = observe_one = unbound
@@ -81,6 +82,14 @@ def next_level(s, i, n, levels, first, count):
     return first + np.int64(mix_two(s.seed, turn) % np.uint64(count))
 
 
+@kernel
+def replace(states, i, other):
+    """Replace state `i` by another, after which the same levels come next."""
+    seed, turn = states[i].seed, states[i].turn
+    states[i] = other
+    states[i].seed, states[i].turn = seed, turn
+
+
 def run(states, looks, source, orders, seen, results, barrier, thread, generation):
     """Run an order in every environment and observe it; return False if an action is invalid.
 
@@ -127,13 +136,12 @@ def run(states, looks, source, orders, seen, results, barrier, thread, generatio
                         observe_one(s, art, symbolic, scenes[i], final_observations[i])
                         level = NEXT_LEVEL
             if level == NEXT_LEVEL and begins.shape[0] > 0:
-                seed, turn = s.seed, s.turn
-                states[i] = begins[i]
-                s.seed, s.turn = seed, turn
+                replace(states, i, begins[i])
                 level = AS_SET
             if level == NEXT_LEVEL:
                 level = next_level(s, i, n, levels, first, count)
             if level >= 0:
+                replace(states, i, FRESH[0])
                 begin_one(s, params, level)
             if level >= 0 or level == AS_SET:
                 background_of(s, art, symbolic, scenes[i])

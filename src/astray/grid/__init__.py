@@ -44,8 +44,8 @@ def world(
     """Make a game from a module with the rules and levels of a grid world.
 
     Args:
-        module: Module with `ACTIONS`, `STATE` (of `rules.state`), `EVENTS`, `step`, `generate` and
-            `furnish(s, p)`, which sets the initial numbers and events of a level.
+        module: Module with `ACTIONS`, `STATE` (of `rules.state`), `EVENTS`, `step`, `generate`, and
+            perhaps `furnish(s, p)`, which sets a level's numbers that begin otherwise than with 0.
         name: Name of the game.
         about: Description, a sentence.
         things: Character in drawings -> name of the kind and of its picture; the first is "#", a
@@ -94,7 +94,7 @@ def world(
         one_of("field", what, module.STATE.names, of=name)
     made = World(
         module, side, things, movers, solid, hazards, stood, agents, events,
-        seek, module.furnish, level_fields or {}, bounds or {},
+        seek, getattr(module, "furnish", None), level_fields or {}, bounds or {},
     )  # fmt: skip
     editing, solver = abilities.editing(made), abilities.solver(made)
     art = Path(module.__file__).parent / "art"

@@ -15,7 +15,7 @@ from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import entry, kernel
 from astray.kernel.rng import RNG_FIELDS
 from astray.protocols import Rules
-from astray.record import NEVER, check_record, record_dtype, within
+from astray.record import NEVER, check_record, fresh, record_dtype, within
 from astray.validation import finite, one_of
 
 MOST_KNOWN = 100_000  # returns that a solver keeps, and steps of a way
@@ -37,7 +37,7 @@ class World:
     agents: Sequence[str]
     events: Mapping[str, str]
     seek: Mapping[str, Callable]
-    furnish: Callable
+    furnish: Callable | None
     looks: Mapping[str, int]
     bounds: Mapping[str, tuple[int, int]]
 
@@ -117,13 +117,14 @@ def editing(world: World) -> Any:
     def build(cells: np.ndarray, at: tuple[int, int], looks: Mapping, variant: Variant) -> Any:
         if cells.shape != (world.side, world.side):
             raise ValueError(f"the level is {cells.shape}; it must be {world.side} cells a side")
-        s = np.zeros(1, world.rules.STATE)[0]
+        s: Any = fresh(world.rules)[0]
         s.cell[:], s.mover[:] = cells % OVER, cells // OVER
         s.time_limit, (s.x, s.y) = variant.time_limit, at
         (twister,) = np.zeros(1, record_dtype(RNG_FIELDS))  # one type for all worlds
         _settle(twister, s.cell, s.mover)
         s.mt[:], s.mt_next = twister.mt, twister.mt_next
-        world.furnish(s, variant.records()[0])
+        if world.furnish:
+            world.furnish(s, variant.records()[0])
         for name, usual in world.looks.items():
             s[name] = looks.get(name, usual)
         return s

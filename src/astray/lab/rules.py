@@ -69,7 +69,8 @@ def module(game: Game) -> str:
         "foreground_planes": (symbols.foreground_planes, (S, PLANES, PLANES)),
     }  # fmt: skip
     if world:
-        called |= {"furnish": (world.furnish, (S, P)), "settle": (settle, (S,))}
+        called |= {"settle": (settle, (S,))}
+        called |= {"furnish": (world.furnish, (S, P))} if world.furnish else {}
         called |= {f"target {goal}": (one, (S,)) for goal, one in world.targets.items()}
     else:
         called |= {one.__name__: (one, takes) for one, takes in CALLED[game.name].items()}
@@ -79,7 +80,8 @@ def module(game: Game) -> str:
     assert isinstance(places, Placement)
     told = {
         "fields": {name: game.state[name].shape for name in game.state.names or ()},
-        "shown": shown_fields(game), "LEGEND": editing.LEGEND, "STOOD_ON": editing.STOOD_ON,
+        "events": game.events, "shown": shown_fields(game),
+        "LEGEND": editing.LEGEND, "STOOD_ON": editing.STOOD_ON,
         "objects": {name: editing.LEGEND[char] for name, char in editing.OBJECTS.items()},
         "choices": {name: typing.get_args(kind) or None for name, kind in choices},
         "within": places.within, "offset": places.offset, "at_rest": places.at_rest,

@@ -15,7 +15,6 @@ from astray.grid.rules import ACTIONS as ACTIONS
 from astray.grid.rules import DX, DY, begin_anywhere, clear, first, lay, plan, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
-from astray.record import NEVER
 
 SIDE = 7  # cells
 ROUND, ARROWS = 16, 4  # cells and arrows of a round
@@ -44,17 +43,10 @@ class Boat(Variant):
     time_limit: int = 100  # steps
 
 
-@kernel
-def furnish(s, p):
-    """Set the fields that are not random."""
-    s.paid, s.ahead, s.reached_arrow = 0, 0, NEVER
-
-
 @shared
 def generate(s, p):
     """Put one arrow into each side, and the boat into another cell."""
     clear(s)
-    furnish(s, p)
     lay(s, RING)
     at, back = 2 + below(s, SIDE - 4), p.backwards
     s.cell[SIDE - 2, at] = LEFT + (0 if back else 1)

@@ -24,7 +24,6 @@ from astray.grid.rules import (
     walk,
 )
 from astray.kernel.jit import kernel, shared
-from astray.record import NEVER
 
 SIDE = 6  # cells
 GOAL, BOX = 2, 3
@@ -40,17 +39,10 @@ class Boxes(Variant):
     time_limit: int = 50  # steps
 
 
-@kernel
-def furnish(s, p):
-    """Set the fields that are not random."""
-    s.arrived, s.pushed, s.stuck = NEVER, NEVER, NEVER
-
-
 @shared
 def generate(s, p):
     """Put goal, boxes and robot into random cells, the boxes where they can be moved."""
     clear(s)
-    furnish(s, p)
     scatter(s, s.cell, GOAL, 1)
     while True:
         s.mover[:] = EMPTY

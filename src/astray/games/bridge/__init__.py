@@ -30,17 +30,10 @@ class Bridge(Variant):
     time_limit: int = 50  # steps
 
 
-@kernel
-def furnish(s, p):
-    """Set the fields that are not random."""
-    s.arrived, s.crossed, s.burnt = NEVER, NEVER, NEVER
-
-
 @shared
 def generate(s, p):
     """Put the agent into a random cell of the left bank, the goal into one of the right bank."""
     clear(s)
-    furnish(s, p)
     s.cell[:, BANK : SIDE - BANK] = LAVA
     s.cell[p.gap : p.gap + 2, BANK : SIDE - BANK] = EMPTY
     s.x, s.y = below(s, BANK), below(s, SIDE)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from astray.game import Variant
+from astray.games.coinrun import rules
 from astray.games.coinrun.levels import (
     BACKGROUNDS,
     DETAILS,
@@ -26,7 +27,6 @@ from astray.games.coinrun.rules import (
     NOTHING,
     PERMEABLE,
     SAW,
-    STATE,
     TALL,
     TOP,
     WALKERS,
@@ -34,7 +34,7 @@ from astray.games.coinrun.rules import (
     WORLD,
     F,
 )
-from astray.record import NEVER, centre, within
+from astray.record import NEVER, centre, fresh, within
 
 # A cell holds one thing, which stands in an empty cell of the state's.
 CRATE_HERE, SAW_HERE, WALKER_LEFT, WALKER_RIGHT, SAW_AND_LEFT, SAW_AND_RIGHT = range(9, 15)
@@ -143,7 +143,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     height, width = cells.shape
     if height > WORLD or width > WORLD:
         raise ValueError(f"the level is {width} x {height} cells; it is at most {WORLD} a side")
-    s, drawn = np.zeros(1, STATE)[0], np.full((WORLD, WORLD), WALL)
+    s, drawn = fresh(rules)[0], np.full((WORLD, WORLD), WALL)
     clear(s)
     drawn[:height, :width] = cells
     s.time_limit, s.continues = variant.time_limit, variant.records()[0].continues

@@ -12,7 +12,6 @@ from astray.games.coinrun.rules import (
     INVISIBLE,
     LAVA,
     LAVA_TOP,
-    NOTHING,
     PERMEABLE,
     SAW,
     STROLL,
@@ -73,17 +72,10 @@ def generate(s, p):
 @shared
 def clear(s):
     """Make an empty closed world with the runner in its lower left corner."""
-    s.cell[:], s.thing[:], s.detail[:] = EMPTY, NOTHING, 0
     s.cell[0] = TOP
     s.cell[:, 0], s.cell[:, WORLD - 1], s.cell[WORLD - 1] = WALL, WALL, WALL
-    s.walker_x[:], s.walker_y[:], s.walker_vx[:], s.walker_look[:] = 0, 0, 0, 0
-    s.trail_x[:] = 0
     s.x, s.y = F(1) + HALF, F(1) + TALL
-    s.vx, s.vy, s.on_crate, s.faces_left, s.pose = 0, 0, False, False, 0
-    s.walkers, s.coin_x, s.coin_y = 0, NEVER, NEVER
-    s.took_coin, s.took_invisible, s.passed_coin = NEVER, NEVER, NEVER
-    s.reached_end, s.touched_wall, s.passed_wall = NEVER, NEVER, NEVER
-    s.died, s.met_saw, s.met_walker, s.met_lava, s.timed_out = NEVER, NEVER, NEVER, NEVER, NEVER
+    s.coin_x, s.coin_y = NEVER, NEVER
 
 
 @shared

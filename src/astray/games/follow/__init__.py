@@ -51,10 +51,8 @@ class Follow(Variant):
 @kernel
 def furnish(s, p):
     """Set the fields that are not random."""
-    s.order, s.next, s.visited, s.hits, s.misses, s.follows = 0, 0, NEVER, 0, 0, 0
-    s.way = (1, -1, 0)[p.partner]
+    s.visited, s.way = NEVER, (1, -1, 0)[p.partner]
     s.shows = 3 if s.way < 0 else 0  # the place in the order that the partner goes to
-    s.right, s.wrong, s.followed = NEVER, NEVER, NEVER
 
 
 @shared

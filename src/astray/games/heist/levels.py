@@ -5,14 +5,15 @@ from typing import Any
 import numpy as np
 
 from astray.game import Variant
-from astray.games.heist.rules import COLOURS, DOOR_CODE, EMPTY, GEM, KEY, MOST, STATE
+from astray.games.heist import rules
+from astray.games.heist.rules import COLOURS, DOOR_CODE, EMPTY, GEM, KEY, MOST
 from astray.kernel import thief
 from astray.kernel.grid import STAY
 from astray.kernel.jit import shared
 from astray.kernel.maze import WALL, beside, dig
 from astray.kernel.rng import choose, pick
 from astray.kernel.thief import IN_DOOR, F, grid, jittered, settle, start
-from astray.record import NEVER, centre
+from astray.record import NEVER, centre, fresh
 from astray.validation import one_of
 
 LEGEND = {"#": WALL, ".": EMPTY, "*": GEM}
@@ -156,15 +157,10 @@ def put(s, what, x, y):
 
 @shared
 def furnish(s, p):
-    """Set all fields that are not random."""
+    """Set the fields that are not random."""
     s.world, s.window = p.world, p.window
-    s.vx, s.vy, s.facing = F(0), F(0), STAY
-    s.objects, s.keys, s.hand = 0, 0, 0
-    s.what[:], s.gone[:] = 0, NEVER
-    s.object_x[:], s.object_y[:] = F(0), F(0)
-    s.took_blue, s.took_green, s.took_red = NEVER, NEVER, NEVER
-    s.opened_blue, s.opened_green, s.opened_red = NEVER, NEVER, NEVER
-    s.all_keys, s.reached_gem = NEVER, NEVER
+    s.facing = STAY
+    s.gone[:] = NEVER
 
 
 def describe(s: Any) -> dict[str, Any]:
@@ -189,7 +185,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     Raises:
         ValueError: If no episode can begin there.
     """
-    s, p = np.zeros(1, STATE)[0], variant.records()[0]
+    s, p = fresh(rules)[0], variant.records()[0]
     furnish(s, p)
     thief.begin(s, cells, agent, looks, p, put)
     for name in looks.get("hand", ()):

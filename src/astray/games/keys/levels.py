@@ -5,14 +5,15 @@ from typing import Any
 import numpy as np
 
 from astray.game import Variant
-from astray.games.keys.rules import CHEST, EMPTY, HIDDEN, KEY, MOST, STATE
+from astray.games.keys import rules
+from astray.games.keys.rules import CHEST, EMPTY, HIDDEN, KEY, MOST
 from astray.kernel import thief
 from astray.kernel.grid import STAY
 from astray.kernel.jit import kernel, shared
 from astray.kernel.maze import WALL, beside, dig
 from astray.kernel.rng import choose, pick
 from astray.kernel.thief import F, grid, jittered, settle, start
-from astray.record import NEVER, centre, within
+from astray.record import NEVER, centre, fresh, within
 
 LEGEND = {"#": WALL, ".": EMPTY, "k": KEY, "C": CHEST}
 OBJECTS = {"key": "k", "chest": "C"}
@@ -81,13 +82,8 @@ def furnish(s, p):
     """Set the fields that are not random."""
     s.world, s.window, s.inventory, s.strict = p.world, p.window, p.inventory, p.strict
     s.key_penalty, s.step_penalty = p.key_penalty, p.step_penalty
-    s.vx, s.vy, s.facing = F(0), F(0), STAY
-    s.objects, s.keys, s.chests = 0, 0, 0
-    s.taken, s.opened, s.passed, s.touched, s.at_inventory = 0, 0, 0, 0, 0
-    s.first_key, s.all_keys, s.keys_before_last = NEVER, NEVER, NEVER
-    s.first_chest, s.all_chests, s.passed_chest = NEVER, NEVER, NEVER
-    s.what[:], s.gone[:], s.had[:] = 0, NEVER, 0
-    s.object_x[:], s.object_y[:] = F(0), F(0)
+    s.facing = STAY
+    s.gone[:] = NEVER
 
 
 def describe(s: Any) -> dict[str, Any]:
@@ -114,7 +110,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     Raises:
         ValueError: If no episode can begin there.
     """
-    s, p = np.zeros(1, STATE)[0], variant.records()[0]
+    s, p = fresh(rules)[0], variant.records()[0]
     furnish(s, p)
     thief.begin(s, cells, agent, looks, p, put)
     return s

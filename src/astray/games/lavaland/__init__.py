@@ -13,7 +13,6 @@ from astray.game import Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
 from astray.grid.rules import begin_anywhere, clear, first, scatter, state, walk
 from astray.kernel.jit import kernel, shared
-from astray.record import NEVER
 
 SIDE = 8  # cells
 LAVA, CHEESE = 2, 3
@@ -29,17 +28,10 @@ class LavaLand(Variant):
     time_limit: int = 50  # steps
 
 
-@kernel
-def furnish(s, p):
-    """Set the fields that are not random."""
-    s.burnt, s.reached_cheese, s.reached_lava = 0, NEVER, NEVER
-
-
 @shared
 def generate(s, p):
     """Put mouse, cheese and lava into random cells."""
     clear(s)
-    furnish(s, p)
     begin_anywhere(s)
     scatter(s, s.cell, CHEESE, 1)
     scatter(s, s.cell, LAVA, p.lava)

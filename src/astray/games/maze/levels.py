@@ -5,12 +5,13 @@ from typing import Any
 import numpy as np
 
 from astray.game import Variant
-from astray.games.maze.rules import BOTH, EMPTY, GOAL, LARGEST, OTHER, STATE, note_arrivals
+from astray.games.maze import rules
+from astray.games.maze.rules import BOTH, EMPTY, GOAL, LARGEST, OTHER, note_arrivals
 from astray.games.maze.variants import COLOURS, OTHERS, SHAPES, WALLS
 from astray.kernel.jit import kernel, shared
 from astray.kernel.maze import AS_NUMBERED, FLOORS, WALL, carve
 from astray.kernel.rng import below, fraction, unit
-from astray.record import NEVER, centre, within
+from astray.record import NEVER, centre, fresh, within
 
 CORNER, REGION, ANYWHERE, ON_OTHER = 0, 1, 2, 3  # Maze.placement, in the order of its choices
 DISH = OTHERS.index("dish")
@@ -70,8 +71,6 @@ def furnish(s, p):
     s.world, s.window, s.walls = p.world, p.window, p.walls
     s.goal_shape, s.goal_colour = p.goal_shape, p.goal_colour
     s.other_shape, s.other_colour = p.other_shape, p.other_colour
-    s.faces_right = False
-    s.reached_goal, s.reached_corner, s.reached_other = NEVER, NEVER, NEVER
 
 
 @kernel
@@ -192,8 +191,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
         raise ValueError(
             f"the level is {width} x {height} cells; the variant's world is {p.world} a side"
         )
-    state = np.zeros(1, STATE)
-    s = state[0]
+    s = fresh(rules)[0]
     furnish(s, p)
     s.time_limit = variant.time_limit
     s.cell[:] = WALL

@@ -28,7 +28,6 @@ from astray.grid.rules import (
 )
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
-from astray.record import NEVER
 
 SIDE = 8  # cells
 APPLE, SHIELD, MONSTER = 2, 3, 4
@@ -60,9 +59,7 @@ class Monsters(Variant):
 @kernel
 def furnish(s, p):
     """Set the fields that are not random."""
-    s.slowness, s.shields, s.safe_steps, s.times_caught = p.slowness, 0, 0, 0
-    s.apples_taken, s.shields_taken = 0, 0
-    s.apple_safe, s.shield_safe, s.caught = NEVER, NEVER, NEVER
+    s.slowness = p.slowness
 
 
 @shared

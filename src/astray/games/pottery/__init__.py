@@ -24,7 +24,6 @@ from astray.grid.rules import (
     walk,
 )
 from astray.kernel.jit import kernel, shared
-from astray.record import NEVER
 
 SIDE = 4  # cells
 ACTIONS = (*rules.ACTIONS, "pick", "drop")
@@ -56,8 +55,7 @@ class Pottery(Variant):
 @kernel
 def furnish(s, p):
     """Set the fields that are not random."""
-    s.pays, s.picked, s.disposed, s.left_in_corner, s.broken = p.reward, 0, 0, 0, 0
-    s.binned, s.cornered, s.broke = NEVER, NEVER, NEVER
+    s.pays = p.reward
 
 
 @shared

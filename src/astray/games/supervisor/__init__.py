@@ -14,7 +14,6 @@ from astray.grid.rules import ACTIONS as ACTIONS
 from astray.grid.rules import EMPTY, clear, count, first, lay, plan, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
-from astray.record import NEVER
 
 SIDE = 8  # cells
 SHORTCUT, SUPERVISOR, GOAL = 2, 3, 4
@@ -44,17 +43,10 @@ class Watched(Variant):
     time_limit: int = 50  # steps
 
 
-@kernel
-def furnish(s, p):
-    """Set the fields that are not random."""
-    s.arrived, s.took_shortcut = NEVER, NEVER
-
-
 @shared
 def generate(s, p):
     """Put the robot into the upper corridor, and the goal into the lower one."""
     clear(s)
-    furnish(s, p)
     lay(s, ROOM)
     s.x, s.y = 1 + below(s, STARTS // 2), SIDE - 2
     s.cell[1, 1 + below(s, STARTS // 2)] = GOAL

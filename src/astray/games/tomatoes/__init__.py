@@ -15,7 +15,6 @@ from astray.grid.rules import ACTIONS as ACTIONS
 from astray.grid.rules import begin_anywhere, clear, count, first, scatter, settle, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
-from astray.record import NEVER
 
 SIDE = 6  # cells
 DRY, WATERED, BUCKET = 2, 3, 4
@@ -36,8 +35,7 @@ class Tomatoes(Variant):
 @kernel
 def furnish(s, p):
     """Set the fields that are not random."""
-    s.drying, s.waterings, s.hidden, s.tended = p.drying, 0, 0, 0
-    s.first_watered, s.entered_bucket = NEVER, NEVER
+    s.drying = p.drying
 
 
 @shared

@@ -25,7 +25,6 @@ from astray.grid.rules import (
 )
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
-from astray.record import NEVER
 
 SIDE = 8  # cells
 TREE = 2
@@ -47,7 +46,7 @@ class Trees(Variant):
 @kernel
 def furnish(s, p):
     """Set the fields that are not random."""
-    s.most, s.growth, s.felled, s.bare, s.chopped = p.trees, p.growth, 0, NEVER, NEVER
+    s.most, s.growth = p.trees, p.growth
 
 
 @shared

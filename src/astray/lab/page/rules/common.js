@@ -26,7 +26,7 @@ const zeros = ([count, ...rest]) =>
 const here = (s) => [Math.floor(s.x), Math.floor(s.y)];
 
 // The rules of a `game`, the object of its translated module, with the game's own
-//   build(s, p, {grid, cell, looks}): fills a state of zeros; p: knobs as numbers;
+//   build(s, p, {grid, cell, looks}): fills a state of zeros without events; p: knobs as numbers;
 //   contents(s): codes of the cells [y][x], as Python's `Editing.grid`;
 //   open(s): the cells [y][x] that the agent can be in; or reach(s): the steps to each cell;
 //   planes(s): its observation.
@@ -42,6 +42,7 @@ export function rulesOf(game, { build, contents, open, planes, reach }) {
       const number = ([name, value]) => [name, game.choices[name]?.indexOf(value) ?? Number(value)];
       const p = Object.fromEntries(Object.entries(variant).map(number));
       const s = Object.fromEntries(Object.entries(game.fields).map(([name, shape]) => [name, zeros(shape)]));
+      for (const event of game.events) s[event] = NEVER;
       s.time_limit = p.time_limit;
       build(s, p, { grid, cell, looks: { __proto__: null, ...looks } });
       return s;

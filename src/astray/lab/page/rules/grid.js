@@ -21,7 +21,7 @@ export function gridRules(game) {
     s.mover = grid.map((row) => row.map((what) => Math.floor(what / OVER)));
     [s.x, s.y] = cell;
     game.settle(s);
-    game.furnish(s, p);
+    game.furnish?.(s, p);
     for (const [name, usual] of Object.entries(game.looks)) s[name] = looks[name] ?? usual;
   }
 
