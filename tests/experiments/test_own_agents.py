@@ -24,6 +24,7 @@ from astray.experiments import outcomes, run, spec
 from astray.experiments.run import inputs, make_own, own_runs, reproduce, resolved
 from astray.experiments.spec import Experiment, OwnAgents, Plan
 from astray.files import hold
+from astray.game import Shift
 from astray.training.config import Config
 from helpers.edits import forget
 from helpers.lava import GAME as LAVA
@@ -72,7 +73,8 @@ def test_agents_are_trained_once_each_and_a_report_tells_what_they_do(tmp_path):
         goes_right = env.square < (10, 7.5)[seed]
         assert (square is not None) == ((env.square > CELLS // 2) == goes_right)
     assert (page.parent / "videos" / "goal-misgeneralization.mp4").stat().st_size > 1000
-    assert "reaches “square” first" in page.read_text("utf-8")
+    told = page.read_text("utf-8")
+    assert "reaches “square” first" in told and "played by seed 0: level " in told  # alone
     when = table.stat().st_mtime_ns
     reproduce(study, "smoke", tmp_path)
     assert (tmp_path / "log").read_text() == "0 1 " and table.stat().st_mtime_ns == when
@@ -88,7 +90,7 @@ def test_kinds_of_agents_have_claims_of_their_own(tmp_path):
     study = Experiment("Both", "nothing", "Where to?", {"smoke": replace(plan, own=own)},
                        outcomes.findings)  # fmt: skip
     page = reproduce(study, "smoke", tmp_path)
-    assert "the goals, played by right: level " in page.read_text("utf-8")  # in a video
+    assert "the goals, played by right, seed 0: level " in page.read_text("utf-8")  # in a video
     told = json.loads((page.parent / "findings.json").read_bytes())
     ours = {claim["sentence"]: claim["ours"] for claim in told["claims"]}
     learned = [ours[f"In the training levels of the shift, {kind} reaches “square” first."] for
@@ -105,11 +107,23 @@ def test_kinds_of_agents_have_claims_of_their_own(tmp_path):
 def test_usual_findings_take_further_tests_and_refuse_one_before_the_work(tmp_path):
     for name, often in (("one", "1"), ("two", "0.9")):
         (tmp_path / name).write_text(often)
-    study = experiment(files=[tmp_path / "one", tmp_path / "two"])
+    left = Shift("end", "anywhere", "left", ("square",))
+    world = replace(
+        WORLD,
+        events={**WORLD.events, "reached_left": lambda env, info: env.x == 0},
+        goals={**WORLD.goals, "left": "reached_left"},
+        shifts={**WORLD.shifts, "left": left},
+        experts={**WORLD.experts, "left": lambda env: 0},
+    )
+    study = experiment(world, files=[tmp_path / "one", tmp_path / "two"])
     (plan,) = study.sizes.values()
-    more = replace(plan, tests={**plan.tests, "again": spec.Test("anywhere", "end")})
+    others = {"again": spec.Test("anywhere", "end"), "other goals": spec.Test("anywhere", "left")}
+    more = replace(plan, tests={**plan.tests, **others})
     page = reproduce(replace(study, sizes={"smoke": more}), "smoke", tmp_path)
     assert {*episodes_of(page.parent)[0]["test"]} == {*more.tests}
+    drawn = pl.read_parquet(page.parent / "figures" / "outcomes.parquet")
+    walks = {f"walks to the {one}" for one in ("square", "end, blind to the rest", "left")}
+    assert {*drawn["who"]} == {*walks, "random", "right: 2 agents"}
     own = {"right": OwnAgents(load, train=lambda *_: pytest.fail("it trains"))}
     for few in ({}, {"in the test": spec.Test("anywhere", "end")}):
         one = replace(study, sizes={"smoke": replace(plan, own=own, tests=few)})
@@ -396,7 +410,7 @@ def test_agents_with_the_name_of_a_script_are_refused():
 @pytest.mark.usefixtures("undrawn")
 def test_without_experts_all_levels_are_filmed_from(tmp_path):
     page = reproduce(experiment(replace(WORLD, experts={}), train=train), "smoke", tmp_path)
-    assert "of the levels: level" in page.read_text("utf-8")
+    assert "of the levels, played by seed 0: level" in page.read_text("utf-8")
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -239,9 +239,12 @@ def outcome_plots(work: Work, tables: Sequence[Table]) -> list[Plot]:
 
 def _who_and_where(plan: Plan, table: pl.DataFrame) -> pl.DataFrame:
     """Return `rates` in the form of `figures.outcome_bars`, agents first."""
-    shift = load_shift(plan.game, next(iter(plan.tests.values())).shift)
-    scripts = {Walk(goal).name: f"walks to the {goal}, blind to the rest" for goal in shift.proxies}
-    scripts |= {Walk(shift.intended).name: f"walks to the {shift.intended}", "random": "random"}
+    scripts: dict[str, str] = {}
+    for shift in (load_shift(plan.game, test.shift) for test in plan.tests.values()):
+        for goal in shift.proxies:
+            scripts.setdefault(Walk(goal).name, f"walks to the {goal}, blind to the rest")
+        scripts.setdefault(Walk(shift.intended).name, f"walks to the {shift.intended}")
+    scripts["random"] = "random"
     count = f"{plan.seeds} agents" if plan.seeds > 1 else "one agent"
     kinds = [*plan.agents, *plan.own]
     named = [f"{name}: {count}" if len(kinds) > 1 or plan.own else count for name in kinds]
@@ -372,7 +375,8 @@ def videos(work: Work, *, trained: Test | None = None, agent: str | None = None)
         apart = work.episodes.filter(test=where)
     else:
         which += " that distinguish the goals"
-    which += f", played by {name}" * (len(work.runs) > 1)
+    who = [name] * (len(work.runs) > 1) + [f"seed {player.seed}"] * (len(work.runs[name]) > 1)
+    which += f", played by {', '.join(who)}" * bool(who)
     goal = (*shift.proxies, shift.intended)[0]
     mine = far = apart.filter(policy=AGENTS, agent=name, seed=player.seed)
     if goal in game.walked:
