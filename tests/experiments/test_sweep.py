@@ -241,9 +241,21 @@ def test_a_sweep_of_a_shift_without_proxies_tells_of_the_intended_goal(trained, 
     base = Config(world, "end", steps=16, num_envs=2, num_steps=8, minibatches=1)
     page = run_sweep(Sweep(base, {"learning_rate": [1e-4, 5e-4]}, levels=5), tmp_path)
     told = json.loads((page.parent / "findings.json").read_text("utf-8"))["answer"]
-    assert told.startswith("“square” is reached first in the test least often with learning_rate")
+    assert told.startswith("“square” is reached first in the test equally often in each of 2")
     drawn = pl.read_parquet(tmp_path / "figures" / "learning-rate.parquet")
     assert {*drawn["what"]} == {"intended goal, in training", "intended goal, in the test"}
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [([1], "first in the test with "), ([1, 2, 3], "test equally often in each of 3 combinations")],
+)
+def test_a_sweep_whose_agents_are_alike_names_no_extremes(values, said, trained, tmp_path):
+    sweep = Sweep(replace(BASE, steps=64), {"validation_every": values}, levels=5)
+    run_sweep(sweep, tmp_path)
+    told = json.loads((tmp_path / "findings.json").read_text("utf-8"))["answer"]
+    assert said in told and "most often" not in told and "extremes" not in told
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -72,11 +72,17 @@ def findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findi
         for row in (asked.row(0, named=True), asked.row(-1, named=True))
     ]
     settings = {name: str(x) for name, x in sweep.base.flat().items() if name not in sweep.axes}
+    count, told = len(asked), f"least often with {ends[0]}, and most often with {ends[1]}."
+    told += (
+        f" The extremes of {count} combinations differ by chance too: each interval is for one of "
+        "them alone."
+    ) * (count > 2)
+    if asked["mean"].n_unique() == 1:
+        told = (
+            f"equally often in each of {count} combinations, as " * (count > 1) + f"with {ends[0]}."
+        )
     return Findings(
-        answer=f"{goal} is reached first in the test least often with {ends[0]}, and most often "
-        f"with {ends[1]}."
-        + f" The extremes of {len(asked)} combinations differ by chance too: each interval is for "
-        "one of them alone." * (len(asked) > 2),
+        answer=f"{goal} is reached first in the test {told}",
         claims=[],
         plots=list(_plots(sweep, episodes)),
         tables=[Table("agents", "Outcomes of the agents", agents.drop("policy"))],
