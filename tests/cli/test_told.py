@@ -11,8 +11,9 @@ import polars as pl
 import pytest
 
 from astray import cli
+from astray.analysis.outcomes import OUTCOMES, rates
 from astray.cli import LONGEST, shortened
-from astray.cli.agents import show_amounts
+from astray.cli.agents import show_amounts, show_rates
 from astray.training.config import Config
 from astray.validation import printable
 from helpers.thorough import thorough
@@ -24,6 +25,15 @@ def test_a_measure_that_is_no_number_is_told_with_its_level_under_its_mean(capsy
     show_amounts(table, ["rate", "walked"])
     said = " ".join(capsys.readouterr().out.split())
     assert "rate is nan in level 5, so its mean is not finite" in said and "walked is" not in said
+
+
+def test_agents_in_long_paths_have_rows_that_tell_them_apart(capsys):
+    names = [f"runs/maze-red-line-yellow-gem-small/seed-{seed}" for seed in (10, 11)]
+    told = {"policy": names, "variant": ["end"] * 2, "level": [4, 4], "outcome": OUTCOMES[:2]}
+    show_rates(rates(pl.DataFrame(told)).with_columns(levels_played=pl.lit("distinguishing")))
+    lines = capsys.readouterr().out.splitlines()
+    shown = "".join(line.split("│")[1].strip() for line in lines if line.count("│") > 2)
+    assert shown == "".join(names)
 
 
 def test_control_characters_are_shown_and_not_obeyed():

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import polars as pl
-from rich.table import Table
+from rich.table import Column, Table
 from tyro.conf import Positional, arg
 
 from astray import imports
@@ -293,7 +293,7 @@ def show_amounts(episodes: pl.DataFrame, columns: Sequence[str]) -> None:
 
     if not columns:
         return
-    shown, told = Table("policy", *columns, title="mean of all levels"), []
+    shown, told = Table(_policy(), *columns, title="mean of all levels"), []
     for name in columns:
         lost = episodes.filter(~pl.col(name).cast(pl.Float64).is_finite()).select("level", name)
         told += [
@@ -310,7 +310,7 @@ def show_rates(rates: pl.DataFrame) -> None:
     """Print `outcomes.rates` as a table: a row per policy, a column per outcome, 95 % intervals."""
     outcomes = rates["outcome"].unique(maintain_order=True).to_list()
     shown = Table(
-        "policy", "agents", "levels", *outcomes,
+        _policy(), "agents", "levels", *outcomes,
         title=rates["variant"][0],
         caption="95 % intervals over agents and levels; for one agent, over levels alone",
     )  # fmt: skip
@@ -320,3 +320,8 @@ def show_rates(rates: pl.DataFrame) -> None:
         told = [Estimate.of(row).short() for row in rows.to_dicts()]
         shown.add_row(first["policy"], f"{first['agents']}", levels, *told)
     show(shown, width=126)
+
+
+def _policy() -> Column:
+    """Return a column of names, which are paths that may differ in their last letter alone."""
+    return Column("policy", overflow="fold")
