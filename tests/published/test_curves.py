@@ -41,8 +41,12 @@ def test_only_trainings_in_the_papers_worlds_have_published_curves(config, steps
 def test_a_run_is_drawn_beside_the_published_curves_of_its_world(tmp_path):
     run = tmp_path / "seed-0"
     run.mkdir()
-    (run / CONFIG).write_text(json.dumps({"config": RUNNER.to_json()}))
-    lines = [{"steps": k * 1_000_000, "training/return": 5.0 + k} for k in (1, 2)]
+    config = replace(RUNNER, validation_every=1)
+    (run / CONFIG).write_text(json.dumps({"config": config.to_json()}))
+    lines = [
+        {"steps": k * 1_000_000, "training/return": 5.0 + k, "validation/return": 1.0 + k}
+        for k in (1, 2)
+    ]
     (run / METRICS).write_text("".join(json.dumps(line) + "\n" for line in lines))
     plot = curve_plot({"runner": [run]})
     (axes,) = plot.figure.axes
@@ -50,6 +54,7 @@ def test_a_run_is_drawn_beside_the_published_curves_of_its_world(tmp_path):
     for one in curves()["curves"]:
         assert (one["name"] in lines) == (one["game"] == "coinrun")
     first = lines["the paper's program, seed 6033"]
+    assert lines["validation variant"].get_ydata().tolist() == [2, 3]  # which may be no test
     assert first.get_linestyle() == "--" and lines["training variant"].get_linestyle() == "-"
     assert first.get_xdata().tolist() == [0.5, 1.5, 2.5]
     assert first.get_ydata().tolist() == [4.47, 5.12, 5.47]

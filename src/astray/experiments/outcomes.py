@@ -310,7 +310,7 @@ def curve_plot(
     """Plot a metric of recent episodes during training, on both variants, per agent name."""
     trained = work.runs if isinstance(work, Work) else work
     data = curves(trained)
-    series = {f"training/{metric}": "training variant", f"validation/{metric}": "test variant"}
+    series = {f"{which}/{metric}": f"{which} variant" for which in ("training", "validation")}
     there = {column: name for column, name in series.items() if column in data.columns}
     name = "curves" if metric == "return" else f"curves-{metric.replace('_', '-')}"
     others = published_curves(trained, data) if metric == "return" else None
