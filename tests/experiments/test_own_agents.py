@@ -131,6 +131,21 @@ def test_usual_findings_take_further_tests_and_refuse_one_before_the_work(tmp_pa
             reproduce(one, "smoke", tmp_path)
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_numbers_of_numpy_are_numbers_of_a_plan_and_of_its_tests(tmp_path):
+    (tmp_path / "one").write_text("1")
+    own = {"right": OwnAgents(load, [tmp_path / "one"])}
+    tests = {**spec.tests_of(WORLD, "end"), "2": spec.Test("end", "end", {"vector": np.int64(0)})}
+    one, two, three, four = np.arange(1, 5)
+    given = {"seeds": one, "levels": two, "first_level": three, "longest": four}
+    (plan,) = experiment(files=[tmp_path / "one"] * 2).sizes.values()
+    sizes = {"smoke": replace(plan, own=own, tests=tests, **given)}
+    study = Experiment("Numbers", "nothing", "Where to?", sizes, outcomes.findings)
+    played, _ = episodes_of(reproduce(study, "smoke", tmp_path).parent)
+    assert {*played["level"]} == {3, 4} and {*played["test"]} == {*tests}
+    assert played["length"].max() == 4
+
+
 def test_agents_are_trained_anew_where_the_environment_of_their_training_reads_another_file(
     tmp_path,
 ):

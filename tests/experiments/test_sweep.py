@@ -7,6 +7,7 @@ import shlex
 from dataclasses import replace
 from functools import wraps
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -130,6 +131,13 @@ def test_none_is_a_value_of_a_sweep_as_others_are(trained, tmp_path, monkeypatch
     monkeypatch.setattr(report, "cells", lambda *a, **k: drawn.append(a[0]) or cells(*a, **k))
     run_sweep(Sweep(BASE, {"groups": [None, 2], "width": [8, 16]}, levels=3), tmp_path)
     assert len(trained) == 4 and {*drawn[0]["groups"]} == {"None", "2"}
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_numbers_of_numpy_are_values_of_a_sweep(trained, tmp_path):
+    run_sweep(Sweep(BASE, {"width": np.array([8, 16])}, *np.array([1, 3])), tmp_path)
+    told = json.loads((tmp_path / "findings.json").read_text("utf-8"))["command"]
+    assert [config.width for config in trained] == [8, 16] and "--set width=8,16 " in told
 
 
 @pytest.mark.usefixtures("undrawn")

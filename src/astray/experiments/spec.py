@@ -29,7 +29,7 @@ from astray.report.findings import Findings
 from astray.report.page import COMPUTED
 from astray.training.config import MACHINE, PRESETS, SOLVER, Config, Device, Named
 from astray.training.folders import START, TEACHER
-from astray.training.settings import SEEDS
+from astray.training.settings import SEEDS, make_plain
 from astray.validation import MOST, bounded, of_kind, shown
 from astray.world import World
 
@@ -57,6 +57,9 @@ class Test:
     variant: Named
     shift: Named  # which goal is intended, which are proxies
     knobs: Mapping[str, Any] = field(default_factory=dict)  # of the variant, changed
+
+    def __post_init__(self) -> None:
+        make_plain(self, "knobs")
 
     @property
     def name(self) -> str:
@@ -120,6 +123,7 @@ class Plan:
     speed: int = 0  # environment steps that a core trains with in a second, as measured; 0: unknown
 
     def __post_init__(self) -> None:
+        make_plain(self, "first_level", "seeds", "first_seed", "levels", "longest", "speed")
         provenance.see(self.measures, self.rewards, self.world, self.own)
         kinds = {"agents": Config, "own": OwnAgents, "tests": Test, "visited": Test} | NAMING
         for part, kind in kinds.items():

@@ -3,6 +3,7 @@
 import functools
 import types
 import typing
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
 from sys import float_info
@@ -122,6 +123,14 @@ class Fast:
 
     def __post_init__(self) -> None:
         check(self)
+
+
+def make_plain(record: Any, *names: str) -> None:
+    """Make NumPy's numbers Python's in fields of a frozen record, also those by name in a field."""
+    for name in names:
+        by_name = isinstance(given := getattr(record, name), Mapping)
+        told = {key: plain(one) for key, one in given.items()} if by_name else plain(given)
+        object.__setattr__(record, name, told)
 
 
 def check(record: Any) -> None:

@@ -11,8 +11,8 @@ from astray.analysis.runs import LEVELS_PLAYED, shift_of
 from astray.experiments.levels import check_tests
 from astray.experiments.spec import MOST_AGENTS, Plan, Test
 from astray.training.config import Config
-from astray.training.settings import KNOB, SEEDS, SHORT
-from astray.validation import bounded, one_of, read_value, shown
+from astray.training.settings import KNOB, SEEDS, SHORT, make_plain
+from astray.validation import bounded, one_of, plain, read_value, shown
 from astray.variant import knobs
 from astray.world import WorldVariant
 
@@ -38,6 +38,9 @@ class Sweep:
     shift: str | None = None
 
     def __post_init__(self) -> None:
+        make_plain(self, "seeds", "levels")
+        axes = {name: [plain(one) for one in values] for name, values in self.axes.items()}
+        object.__setattr__(self, "axes", axes)
         bounded("seeds", self.seeds, 1, SEEDS - self.base.seed)
         bounded("levels", self.levels, 1, MOST_AGENTS * 100)
         count = math.prod(map(len, self.axes.values())) * self.seeds
