@@ -132,10 +132,11 @@ def test_usual_findings_take_further_tests_and_refuse_one_before_the_work(tmp_pa
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_numbers_of_numpy_are_numbers_of_a_plan_and_of_its_tests(tmp_path):
+def test_plans_take_numbers_of_numpy_and_variants_of_worlds(tmp_path):
     (tmp_path / "one").write_text("1")
     own = {"right": OwnAgents(load, [tmp_path / "one"])}
     tests = {**spec.tests_of(WORLD, "end"), "2": spec.Test("end", "end", {"vector": np.int64(0)})}
+    tests["3"] = spec.Test(WORLD.variant("end").with_knobs({"vector": False}), "end")
     one, two, three, four = np.arange(1, 5)
     given = {"seeds": one, "levels": two, "first_level": three, "longest": four}
     (plan,) = experiment(files=[tmp_path / "one"] * 2).sizes.values()

@@ -31,7 +31,7 @@ from astray.training.config import MACHINE, PRESETS, SOLVER, Config, Device, Nam
 from astray.training.folders import START, TEACHER
 from astray.training.settings import SEEDS, make_plain
 from astray.validation import MOST, bounded, of_kind, shown
-from astray.world import World
+from astray.world import World, WorldVariant
 
 if TYPE_CHECKING:
     from astray.analysis.trained import Agent, Loaded
@@ -59,6 +59,9 @@ class Test:
     knobs: Mapping[str, Any] = field(default_factory=dict)  # of the variant, changed
 
     def __post_init__(self) -> None:
+        if isinstance(self.variant, WorldVariant):  # its factory is in no file
+            object.__setattr__(self, "knobs", {**self.variant.knobs, **self.knobs})
+            object.__setattr__(self, "variant", self.variant.name)
         make_plain(self, "knobs")
 
     @property
