@@ -43,6 +43,17 @@ def test_agents_and_scripts_are_compared_on_one_page(astray, tmp_path):
     assert row.count('class="number"') > 3, "and its rates are not broken into lines"
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_a_mode_is_of_the_agents_and_not_of_policies_beside_them(astray, tmp_path):
+    words = ("walk:cheese", "--mode", "greedy", "--levels", "0:3", "--out", tmp_path)
+    words += ("--shift", "corner-small")
+    astray("compare", AGENT, *words)
+    shown = (tmp_path / "compare.html").read_text()
+    assert "maze-corner (greedy), walk to cheese in " in shown
+    told = astray("compare", "random", *words, "--game", "maze", fails=True)
+    assert "has no mode 'greedy'" in told
+
+
 def test_an_own_policy_of_the_name_of_a_script_is_not_taken_for_it(tmp_path):
     own = Function(lambda seen: np.full(len(seen), 7), "random")
     with pytest.raises(ValueError, match="policies must have names of their own"):

@@ -1,6 +1,7 @@
 """Verbs that write pages: explain or audit one agent, compare several."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -197,8 +198,9 @@ def compare(
     variant = played(rules, name, tested.knobs, config)
     first = max((config.unseen_levels.start for config in configs), default=0)
     numbers = level_numbers(f"{first}:{first + SOME}" if levels is None else levels)
+    acting = replace(tested.acting, mode="sampled") if opened else tested.acting  # the agents' mode
     policies = [
-        opened[one][0] if one in opened else OwnPolicy(policy=one).make(tested.acting, rules)
+        opened[one][0] if one in opened else OwnPolicy(policy=one).make(acting, rules)
         for one in agents
     ]
     how: Any = {"command": command_of("astray", *sys.argv[1:]), "longest": longest}
