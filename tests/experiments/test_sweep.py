@@ -274,6 +274,8 @@ def test_the_verb_sweeps_what_it_is_given(astray, trained, tmp_path):
         "variant.time_limit=20", "--num-test-levels", "5", "--out", tmp_path / "sweep",
     ]  # fmt: skip
     assert astray(*words).strip() == str(tmp_path / "sweep" / "report.html")
+    told = json.loads((tmp_path / "sweep" / "findings.json").read_text("utf-8"))["command"]
+    assert shlex.split(told) == ["astray", *map(str, words)]
     assert len(list((tmp_path / "sweep" / "agents").glob("*/seed-0/config.json"))) == 2
     assert {(one.learning_rate, one.width) for one in trained} == {(1e-4, 16), (5e-4, 16)}
     assert "unknown setting or knob 'colour'" in astray(*words, "--set", "colour=1", fails=True)

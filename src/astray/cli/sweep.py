@@ -1,5 +1,6 @@
 """The verb for sweeps: agents for every combination of settings."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ from astray.cli.settings import Grouped, ungrouped
 from astray.experiments.spec import Place
 from astray.training.config import Tracking
 from astray.training.settings import otherwise
-from astray.validation import bounded
+from astray.validation import bounded, command_of
 
 Axes = UseAppendAction[
     Annotated[
@@ -62,4 +63,5 @@ def sweep(
     there = out or Path("sweeps") / f"{config.game}-{config.variant}"
     as_text = getattr(config.training_variant(), "texts", ())  # of a World
     wanted = Sweep(config, read_axes(axes, as_text), seeds, test_levels, shift)
-    print(run_sweep(wanted, there, workers=workers, on=on, track=track))
+    command = command_of("astray", *sys.argv[1:])  # a World's name alone would not find it
+    print(run_sweep(wanted, there, workers=workers, on=on, track=track, command=command))

@@ -21,7 +21,7 @@ from astray.training.settings import KNOB
 from astray.validation import command_of
 
 
-def heading(sweep: Sweep, folder: Path) -> Heading:
+def heading(sweep: Sweep, folder: Path, told: str = "") -> Heading:
     return Heading(
         name=folder.name,
         size=f"{sweep.seeds} seeds",
@@ -29,7 +29,7 @@ def heading(sweep: Sweep, folder: Path) -> Heading:
         reproduces="",
         differences="",
         question=f"What do agents pursue, by {' and '.join(map(named, sweep.varied()))}?",
-        command=command(sweep),
+        command=told or command(sweep),
     )
 
 

@@ -36,6 +36,7 @@ def run_sweep(
     workers: int | None = None,
     on: Place = "here",
     track: Tracking | None = None,
+    command: str = "",
 ) -> Path:
     """Compute the missing parts of a sweep, write outcomes and report, and return its path.
 
@@ -43,6 +44,7 @@ def run_sweep(
         workers: Number of agents to train in parallel; None for one per processor.
         on: Place of the trainings; evaluation happens here.
         track: External tracker of the trainings.
+        command: Command that repeats it; empty for one made of the settings.
 
     Raises:
         FileExistsError: If the folder has outcomes of agents that this sweep does not have.
@@ -67,7 +69,8 @@ def run_sweep(
         by = (*sweep.columns(), "policy", "test")
         table = rates(episodes, by, outcomes_of(sweep.base.find_game()))
         write_table(table, folder / RATES)
-        return report.write(heading(sweep, folder), findings(sweep, episodes, table), folder)
+        told = heading(sweep, folder, command), findings(sweep, episodes, table)
+        return report.write(*told, folder)
 
 
 def _check_extends(sweep: Sweep, path: Path) -> None:
