@@ -131,6 +131,41 @@ def test_a_level_is_edited_by_the_keyboard_alone(page):
     wait(page, "lab.level.grid[5][4] === 2 && lab.level.grid[5][5] === 0")
 
 
+def test_a_key_is_let_go_whether_or_not_shift_is_still_held(page):
+    """A letter pressed with Shift or Caps Lock stayed pressed: later keys played diagonals."""
+    show(page, ROOM)
+    page.locator("[data-lab=board]").focus()
+    for k, key in enumerate(("W", "d"), 1):
+        page.keyboard.press(key)
+        wait(page, f"lab.episode.actions.length === {k} && !lab.editor.acting")
+    told = page.evaluate("lab.episode.actions.map((action) => lab.rules.actions[action])")
+    assert told == ["up", "right"]
+
+
+def test_what_a_cursor_holds_is_let_go_with_its_level(page):
+    """It was put down in another level, or once more beside what an undo had put back."""
+    show(page, ROOM)
+    page.get_by_role("checkbox", name="edit by keyboard").check()
+    page.evaluate("lab.editor.cursor = [5, 5]")
+    for key in ("Enter", "ArrowLeft"):
+        page.keyboard.press(key)
+    wait(page, "lab.level.grid[5][4] === 2")
+    page.keyboard.press("Control+z")
+    page.keyboard.press("ArrowLeft")
+    wait(page, "lab.level.grid[5][5] === 2 && lab.level.grid[5][3] === 0")
+    for key in ("ArrowRight", "ArrowRight", "Enter"):
+        page.keyboard.press(key)
+    show(page, 17)
+    text = page.evaluate("lab.text")
+    page.keyboard.press("ArrowDown")
+    assert page.evaluate("[lab.text, lab.past.length, lab.number]") == [text, 0, 17]
+    page.evaluate("lab.editor.cursor = [40, 40]")  # in a larger level
+    show(page, ROOM)
+    page.keyboard.press("Enter")  # takes the agent, where the cursor is then
+    page.keyboard.press("ArrowRight")
+    wait(page, "lab.level.agent[0] === 2.5")
+
+
 def test_an_episode_by_keys_goes_as_replay_has_it(page):
     show(page, ROOM)
     page.locator("[data-lab=board]").focus()

@@ -147,6 +147,7 @@ export class Lab {
     this.#take({ ...told, problem: [wrong, artless, told.problem].filter(Boolean).join(" ") });
     this.original = { level: told.level, number: told.number };
     Object.assign(this, { past: [], future: [] });
+    this.editor.leave();
     this.panels.level();
     await this.refresh();
     return true;
@@ -213,12 +214,14 @@ export class Lab {
     const other = from.pop();
     if (!other) return;
     to.push({ level: this.level, number: this.number });
+    this.editor.leave();
     await this.#change(other.level, other.number);
   }
 
   async restore() {
     if (!this.original) return; // before the first level
     this.#remember();
+    this.editor.leave();
     await this.#change(this.original.level, this.original.number);
   }
 

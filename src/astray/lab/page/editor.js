@@ -9,6 +9,9 @@ const KEYS = {
 
 const FIELDS = "select, textarea, input:not([type=checkbox])";
 
+// The key of an event, the same with Shift or Caps Lock.
+const keyOf = ({ key }) => (key.length === 1 ? key.toLowerCase() : key);
+
 export class Editor {
   constructor(lab) {
     this.lab = lab;
@@ -32,7 +35,7 @@ export class Editor {
         this.#key(event);
       }
     });
-    ear.addEventListener("keyup", (event) => this.pressed.delete(event.key));
+    ear.addEventListener("keyup", (event) => this.pressed.delete(keyOf(event)));
     globalThis.addEventListener("blur", () => this.pressed.clear(), { signal: lab.signal });
     lab.part("cursor").addEventListener("change", ({ target }) => {
       this.cursor = target.checked ? lab.level.agent.map(Math.floor) : null;
@@ -112,6 +115,14 @@ export class Editor {
     this.lab.part("world").classList.remove("grabbing");
   }
 
+  // Let go of what was held in another level, and keep the cursor within this one.
+  leave() {
+    const { grid, agent } = this.lab.level;
+    const [x, y] = this.cursor ?? [0, 0];
+    this.#drop();
+    if (grid[y]?.[x] === undefined) this.cursor = agent.map(Math.floor);
+  }
+
   // Draw or erase with the tool a wall or an object, as in the first cell of a stroke.
   #paint(cell, first) {
     const { legend, objects } = this.lab.rules;
@@ -133,7 +144,7 @@ export class Editor {
   #key(event) {
     const { lab } = this;
     if (!lab.ready) return;
-    const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+    const key = keyOf(event);
     if (event.ctrlKey || event.metaKey) {
       if (key === "z") this.#do(event, () => (event.shiftKey ? lab.redo() : lab.undo()));
       if (key === "y") this.#do(event, () => lab.redo());
