@@ -463,6 +463,25 @@ def test_a_level_is_not_drawn_as_one_of_the_game_that_is_chosen_next(chrome, sta
         assert not told
 
 
+def test_what_is_done_to_a_level_while_another_game_s_is_on_its_way_is_let_be(chrome, static):
+    """An edit of the level that was still shown took the place of the new game's first level."""
+    with opened(chrome, static) as (page, told):
+        page.evaluate(
+            """async () => {
+              const [choice, level] = [lab.part("agent"), { ...lab.level, agent: [0.5, 0.5] }];
+              const asked = () => lab.engine.latest.get("level ");
+              const before = asked();
+              choice.value = "heist-small";
+              choice.dispatchEvent(new Event("change"));
+              while (asked() === before) await new Promise((done) => setTimeout(done, 0));
+              await Promise.all([lab.act("up"), lab.edit(level), lab.undo(), lab.restore()]);
+            }"""
+        )
+        wait(page, "lab.game === 'heist' && lab.level.game === 'heist' && lab.fields.size > 0")
+        assert page.evaluate("[lab.number, lab.past.length, lab.episode.actions.length]") == [0] * 3
+        assert page.locator("[data-lab=problem]").is_hidden() and not told
+
+
 def test_before_its_first_level_a_page_is_clicked_in_vain(chrome, static):
     with window_of(chrome) as (page, told):
         page.route("**/levels/**", lambda route: None)  # which does not come

@@ -133,7 +133,10 @@ export class Lab {
 
   async #opened(level, wrong) {
     const mine = (this.opening = Symbol("level"));
-    if (this.level?.game !== this.game) this.#clear();
+    if (this.level?.game !== this.game) { // it is of the game that was there before
+      this.#clear();
+      this.broken = true;
+    }
     let artless = "";
     const told = await this.tried(async () => {
       artless = await this.#art(this.game);
@@ -186,6 +189,7 @@ export class Lab {
   }
 
   async #change(level, number) {
+    if (level.game !== this.game) return; // another is on its way
     Object.assign(this, { level, number });
     this.stage.redraw();
     this.panels.edited();
