@@ -143,9 +143,10 @@ export class Lab {
       return this.opening === mine && this.engine.ask(this.question("level", { level: exact(level) }));
     });
     if (this.opening !== mine || told === null) return false; // a newer one was asked for
-    if (!told) { // instead of a link's, another level of the same, and what is wrong
+    if (!told) { // instead of a link's or a new game's, another level of it, and what is wrong
       const said = this.part("problem").textContent;
-      return wrong !== null && level !== 0 && this.#opened(0, `${wrong} ${said}`.trim());
+      const first = wrong !== null || this.level?.game !== this.game;
+      return first && level !== 0 && this.#opened(0, `${wrong ?? ""} ${said}`.trim());
     }
     this.#take({ ...told, problem: [wrong, artless, told.problem].filter(Boolean).join(" ") });
     this.original = { level: told.level, number: told.number };
