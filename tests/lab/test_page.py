@@ -142,6 +142,16 @@ def test_a_key_is_let_go_whether_or_not_shift_is_still_held(page):
     assert told == ["up", "right"]
 
 
+def test_a_cell_is_said_to_hold_what_it_holds_now(page):
+    """The mouse was named where it had begun, and cheese where it had been eaten."""
+    show(page, ROOM)
+    told = "[[5, 5], [0, 0]].map((at) => (lab.panels.readout(at), lab.part('readout').textContent))"
+    assert page.evaluate(told) == ["(5, 5) goal", "(0, 0) wall"]
+    page.keyboard.press("ArrowUp")
+    wait(page, "lab.now === 1")
+    assert page.evaluate(told) == ["(5, 5) ", "(0, 0) wall"]
+
+
 def test_what_a_cursor_holds_is_let_go_with_its_level(page):
     """It was put down in another level, or once more beside what an undo had put back."""
     show(page, ROOM)

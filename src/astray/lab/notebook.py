@@ -23,7 +23,8 @@ def show(
     """Show the lab as a widget in Jupyter, Colab, VS Code or Marimo.
 
     Args:
-        agent: Name, run folder or policy; None for the first available one.
+        agent: Name, run folder or policy. None is the first available one, or no agent where a game
+            or a `Level` is given.
         level: Number, drawing or `Level`, which has its own game and variant.
         game: Name, which a policy needs.
         variant: Name; None for the agent's test variant.

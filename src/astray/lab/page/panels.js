@@ -288,7 +288,8 @@ export class Panels {
     const line = this.part("readout");
     const found = cell && lab.fields.get(String(cell));
     if (!found) {
-      line.textContent = cell ? `(${cell.join(", ")}) ${lab.editor.what(cell)}` : "";
+      const what = cell && lab.editor.what(cell); // at the beginning: later it may be elsewhere
+      line.textContent = cell ? `(${cell.join(", ")}) ${lab.now && what !== "wall" ? "" : what}` : "";
       return;
     }
     const ways = lab.rules.actions.map((name) => lab.look.direction(name));
