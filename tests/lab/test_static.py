@@ -486,6 +486,22 @@ def test_what_is_done_to_a_level_while_another_game_s_is_on_its_way_is_let_be(ch
         assert said in page.locator("[data-lab=problem]").text_content()
 
 
+def test_a_level_that_is_edited_while_the_agent_plays_begins_anew(chrome, static):
+    """Its episode began with the agent's steps in the level as it was."""
+    with opened(chrome, static) as (page, _):
+        page.select_option("[data-lab=agent]", "coin-end")
+        wait(page, "lab.level.game === 'coinrun' && lab.fields.size > 0")
+        edit = """(async () => {
+          const playing = lab.handOver();
+          while (!lab.now) await new Promise((done) => setTimeout(done, 0));
+          await Promise.all([playing, lab.edit({ ...lab.level })]);
+          return [lab.now, lab.episode.actions.length, lab.number];
+        })()"""
+        page.locator("[data-lab=speed]").select_option("fast")
+        for _ in range(4):
+            assert page.evaluate(edit) == [0, 0, None]
+
+
 def test_before_its_first_level_a_page_is_clicked_in_vain(chrome, static):
     with window_of(chrome) as (page, told):
         page.route("**/levels/**", lambda route: None)  # which does not come

@@ -315,8 +315,9 @@ export class Lab {
   // Play actions from the beginning, and let the agent go on for so many steps.
   async play(actions, steps) {
     const question = this.question("play", { actions, steps });
+    const { episode } = this;
     const add = (part) => {
-      const { episode } = this;
+      if (episode !== this.episode) return; // it is of a level that was changed meanwhile
       episode.states.splice(part.first, Infinity, ...part.states);
       episode.value.splice(part.first, Infinity, ...(part.value ?? []));
       const from = Math.max(part.first - 1, 0);
