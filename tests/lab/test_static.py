@@ -480,7 +480,9 @@ def test_what_is_done_to_a_level_while_another_game_s_is_on_its_way_is_let_be(ch
         wait(page, "lab.game === 'heist' && lab.level.game === 'heist' && lab.fields.size > 0")
         assert page.evaluate("[lab.number, lab.past.length, lab.episode.actions.length]") == [0] * 3
         assert page.locator("[data-lab=problem]").is_hidden() and not told
-        page.evaluate("lab.game = 'pottery', lab.variant = 'corner', lab.agent = '', lab.open('#@')")
+        page.evaluate(
+            "lab.game = 'pottery', lab.variant = 'corner', lab.agent = '', lab.open('#@')"
+        )
         wait(page, "lab.level.game === 'pottery' && lab.number === 0 && !lab.broken")
         said = "(1, 2); it must be 4 cells a side"
         assert said in page.locator("[data-lab=problem]").text_content()
