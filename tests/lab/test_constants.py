@@ -27,32 +27,34 @@ from astray.level import Level
 from astray.outcome import INTENDED, MISGENERALIZED
 from astray.training import ppo
 from helpers.browsed import PLAY, knobs, modules_of
-
-PLANES = [  # what each is a plane of, in an order that is not the game's
-    ("maze", "anywhere-small", "SHAPE MOUSE COLOUR WALL"),
-    ("keys", "many-keys-small", "X HAND CHEST KEY WALL Y THIEF"),
-    ("heist", "small", "X GEM Y KEY WALL HAND DOOR THIEF"),
-    ("coinrun", "coin-anywhere", "COIN CRATE HAZARD WALL GAUGE LEFT RIGHT"),
-]
+from helpers.thorough import thorough
 
 
-def test_planes_have_the_order_of_python(chrome, static, exported, monkeypatch):
-    asked = []
-    for name, kind, order in PLANES:
-        game, draw = games.find(name), importlib.import_module(f"astray.games.{name}.draw")
-        variant = game.variant(kind)
-        (s,) = initial_states(game, variant, [3])
-        env = GameVectorEnv(name, kind, 1, observation="symbolic")
-        seen, _ = env.reset(options={"state": s[None]})
-        places = [getattr(draw, f"{plane}_PLANE") for plane in order.split()]
-        for place, plane in enumerate(order.split()):
-            monkeypatch.setattr(draw, f"{plane}_PLANE", place)
-        level = Level.of(game, variant, s).to_json()
-        asked.append(([f"rules/{name}.js", level, knobs(variant), []], seen[0][places]))
-    with now(exported, *(name for name, *_ in PLANES)), modules_of(chrome, static) as page:
-        for words, planes in asked:
-            (told,) = json.loads(page.evaluate(PLAY, words))
-            assert base64.b64decode(told[1]) == planes.tobytes(), words
+@pytest.mark.parametrize(
+    "name, kind, order",  # what each is a plane of, in an order that is not the game's
+    [
+        ("maze", "anywhere-small", "SHAPE MOUSE COLOUR WALL"),
+        # `test_rules_are_those_of_python_state_by_state` compares the planes of all games.
+        *thorough(
+            ("keys", "many-keys-small", "X HAND CHEST KEY WALL Y THIEF"),
+            ("heist", "small", "X GEM Y KEY WALL HAND DOOR THIEF"),
+            ("coinrun", "coin-anywhere", "COIN CRATE HAZARD WALL GAUGE LEFT RIGHT"),
+        ),
+    ],
+)
+def test_planes_have_the_order_of_python(chrome, static, exported, monkeypatch, name, kind, order):
+    game, draw = games.find(name), importlib.import_module(f"astray.games.{name}.draw")
+    variant = game.variant(kind)
+    (s,) = initial_states(game, variant, [3])
+    env = GameVectorEnv(name, kind, 1, observation="symbolic")
+    seen, _ = env.reset(options={"state": s[None]})
+    places = [getattr(draw, f"{plane}_PLANE") for plane in order.split()]
+    for place, plane in enumerate(order.split()):
+        monkeypatch.setattr(draw, f"{plane}_PLANE", place)
+    words = [f"rules/{name}.js", Level.of(game, variant, s).to_json(), knobs(variant), []]
+    with now(exported, name), modules_of(chrome, static) as page:
+        (told,) = json.loads(page.evaluate(PLAY, words))
+    assert base64.b64decode(told[1]) == seen[0][places].tobytes()
 
 
 @contextmanager

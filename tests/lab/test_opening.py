@@ -1,6 +1,7 @@
 """The lab as it opens: links, loading, widths and access."""
 
 import base64
+import itertools
 import zlib
 
 import pytest
@@ -12,7 +13,11 @@ pytest.importorskip("starlette", reason="starlette is not installed")
 from helpers.browsed import LOADED, WAYS, load_anew, opened, violations, wait
 
 LONG = '{"grid": [[0]], "agent": [0, 0], "looks": "%s"}' % (400_000 * "x")
-WIDTHS = {"laptop": (1280, 800), "tablet": (820, 1100), "phone": (390, 780)}
+WIDTHS = {
+    "laptop": {"width": 1280, "height": 800},
+    "tablet": {"width": 820, "height": 1100},
+    "phone": {"width": 390, "height": 780},
+}
 
 
 def packed(level):
@@ -22,10 +27,38 @@ def packed(level):
     return base64.urlsafe_b64encode(data).decode().rstrip("=")
 
 
+MAZE, POTTERY = ("game=maze&variant=anywhere-small&agent=maze-corner&level=17",
+                 "game=pottery&variant=anywhere&agent=&level=3")  # fmt: skip
+
+
 @pytest.mark.parametrize(
     "change, agent, said",
     [
         (("agent=maze-corner", "agent=foo"), "", "The agent 'foo' is not in this lab; no agent"),
+        (("level=17", f"drawn={packed(LONG)}"), "maze-corner", "be at most 262144 characters; got"),
+        (("anywhere-small", "anywhere"), "", "'maze-corner' cannot play in anywhere here; no ag"),
+        (("agent=maze-corner", "agent="), "", ""),
+    ],
+)
+def test_a_link_that_cannot_be_opened_says_so_and_shows_no_other_agent(
+    window, served, change, agent, said
+):
+    page = load_anew(window, f"{served}#{MAZE.replace(*change)}", ready="lab.level")
+    assert page.evaluate("lab.agent") == agent and not window[1]
+    problem = page.locator("[data-lab=problem]")
+    assert problem.is_visible() == bool(said) and said in problem.text_content()
+
+
+READ = """async (link) => {
+  const { fromLink } = await import(new URL("link.js", location.href));
+  const { agent, wrong } = await fromLink(`#${link}`, lab.about);
+  return [agent, wrong];
+}"""
+
+
+@pytest.mark.parametrize(
+    "change, agent, said",
+    [
         (("agent=maze-corner", "agent=constructor"), "", "'constructor' is not in this lab; no"),
         (("agent=maze-corner", "agent=coin-end"), "", "'coin-end' plays coinrun, not maze"),
         (("game=maze", "game=chess"), "", "This lab has no game 'chess'."),
@@ -34,24 +67,12 @@ def packed(level):
         (("variant=anywhere-small", "variant=nope"), "maze-corner", "no variant 'nope' of maze"),
         (("level=17", "level=abc"), "maze-corner", "from 0 to 2147483646; the link has 'abc'"),
         (("level=17", "level=" + 200 * "9"), "maze-corner", f"the link has '{80 * '9'}…'."),
-        (
-            ("anywhere-small", "anywhere"),
-            "",
-            "'maze-corner' cannot play in anywhere here; no agent",
-        ),
         (("level=17", f"drawn={packed('[1, 2]')}"), "maze-corner", "drawn cannot be read from the"),
-        (("level=17", f"drawn={packed(LONG)}"), "maze-corner", "be at most 262144 characters; got"),
-        (("agent=maze-corner", "agent="), "", ""),
     ],
 )
-def test_a_link_that_cannot_be_opened_says_so_and_shows_no_other_agent(
-    window, served, change, agent, said
-):
-    link = f"{served}#game=maze&variant=anywhere-small&agent=maze-corner&level=17"
-    page = load_anew(window, link.replace(*change), ready="lab.level")
-    assert page.evaluate("lab.agent") == agent and not window[1]
-    problem = page.locator("[data-lab=problem]")
-    assert problem.is_visible() == bool(said) and said in problem.text_content()
+def test_what_is_wrong_with_a_link_is_told_and_no_other_agent_chosen(page, change, agent, said):
+    chosen, wrong = page.evaluate(READ, MAZE.replace(*change))
+    assert chosen == agent and said in wrong
 
 
 DRAWN_AS_ANY = """async (names) => {
@@ -65,8 +86,6 @@ def test_a_game_may_have_the_name_of_what_every_object_has(page):
     assert page.evaluate(DRAWN_AS_ANY, names) == names
 
 
-MAZE, POTTERY = ("game=maze&variant=anywhere-small&agent=maze-corner&level=17",
-                 "game=pottery&variant=anywhere&agent=&level=3")  # fmt: skip
 FOLLOWED = "(hash) => { location.hash = hash; }"
 SHOWN = "[lab.game, lab.variant, lab.number, lab.level.grid.length, location.hash.slice(1)]"
 
@@ -150,23 +169,18 @@ def test_a_page_without_python_does_not_say_that_it_compiles(chrome, static):
     page.context.close()
 
 
-@pytest.mark.parametrize(
-    "width, theme",
-    [
-        *((width, "light") for width in WIDTHS),
-        ("laptop", "dark"),
-        *thorough(("tablet", "dark"), ("phone", "dark")),
-    ],
-)
-def test_nothing_is_wider_than_the_page(window, served, width, theme):
-    columns, rows = WIDTHS[width]
-    window[0].set_viewport_size({"width": columns, "height": rows})
-    window[0].emulate_media(color_scheme=theme)
-    page = load_anew(window, served)
+@pytest.mark.parametrize("begun", ["phone", *thorough("laptop", "tablet")])
+def test_nothing_is_wider_than_the_page(window, served, begun):
+    page = window[0]
+    page.set_viewport_size(WIDTHS[begun])
+    load_anew(window, served)
     page.evaluate("for (const part of document.querySelectorAll('details')) part.open = true")
-    assert page.evaluate("document.documentElement.scrollWidth") <= columns
-    background = page.evaluate("getComputedStyle(lab.root).backgroundColor")
-    assert (sum(map(int, background[4:-1].split(","))) < 200) == (theme == "dark")
+    for size, theme in itertools.product(WIDTHS.values(), ("light", "dark")):
+        page.set_viewport_size(size)
+        page.emulate_media(color_scheme=theme)
+        wait(page, f"document.documentElement.scrollWidth <= {size['width']}")
+        background = page.evaluate("getComputedStyle(lab.root).backgroundColor")
+        assert (sum(map(int, background[4:-1].split(","))) < 200) == (theme == "dark")
     assert not window[1]
 
 
