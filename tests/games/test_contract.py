@@ -12,7 +12,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from astray import games, testing
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
-from helpers.cases import SHAPES, SHAPES_FIRST
+from helpers.cases import FIRST_OF_ALL, SHAPES
 
 MODES = list(AutoresetMode)
 OF_SHAPES = (
@@ -23,7 +23,7 @@ OF_SHAPES = (
 )  # slow
 
 
-@pytest.mark.parametrize("game, variant", SHAPES_FIRST)
+@pytest.mark.parametrize("game, variant", FIRST_OF_ALL)
 def test_a_game_is_what_it_is_taken_for(game, variant):
     for check in testing.CHECKS:
         if check not in OF_SHAPES or (game, variant) in SHAPES:

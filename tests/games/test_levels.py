@@ -11,7 +11,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.level import AGENT, Level
 from astray.level_files import read_levels
 from astray.record import NEVER
-from helpers.cases import FEW, SHAPES_FIRST
+from helpers.cases import FEW, FIRST_OF_ALL
 
 
 def begun(game, variant, numbers):
@@ -155,7 +155,7 @@ def free(level):
     return [other.agent for other in level.splay("agent") if other.agent != level.agent]
 
 
-@pytest.mark.parametrize("game, variant", SHAPES_FIRST)
+@pytest.mark.parametrize("game, variant", FIRST_OF_ALL)
 def test_a_level_is_splayed_over_all_places_of_an_object(game, variant):
     level = one(game, variant)
     agents = level.splay("agent")

@@ -56,5 +56,6 @@ def shape(game: str, variant: str) -> tuple[object, ...]:
 
 # Every shape, for tests that are slow and do not depend on what is in a level.
 SHAPES = list({shape(*case): case for case in reversed(FEW)}.values())[::-1]
-# For tests that are slow and differ little from one variant of a shape to another.
-SHAPES_FIRST = [*SHAPES, *thorough(*(case for case in FEW if case not in SHAPES))]
+# For tests that are slow and differ little from one variant of a game to another.
+FIRST = [*{game: (game, variant) for game, variant in reversed(SHAPES)}.values()][::-1]
+FIRST_OF_ALL = [*FIRST, *thorough(*(case for case in FEW if case not in FIRST))]
