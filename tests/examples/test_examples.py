@@ -1,11 +1,15 @@
 """A stranger's package: installed beside astray, found by its name, tested by its own tests."""
 
+import ast
+import inspect
 import os
 import re
 import subprocess
 import sys
+import textwrap
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
@@ -86,6 +90,7 @@ source.write_text(source.read_text().replace("return 0.0, False", "return 0.5, F
 """
 
 
+@pytest.mark.thorough  # `test_an_edit_is_another_digest_once_it_is_loaded`, by which code is kept
 def test_an_edit_of_its_rules_is_seen_by_the_next_process(beside, tmp_path):
     assert run(EDITED, tmp_path, env=beside).split() == ["0.0", "0.0"]
     assert run(EDITED, tmp_path, env=beside).split() == ["0.5", "0.5"]
@@ -102,6 +107,27 @@ def test_the_page_on_extending_runs_as_it_stands(tmp_path):
     assert '"update/size"' in (tmp_path / "mouse" / "metrics.jsonl").read_text("utf-8")
 
 
+@pytest.mark.parametrize("page", sorted((EXAMPLE.parents[1] / "docs").glob("*.md")), ids=str)
+def test_code_of_a_page_imports_and_calls_what_there_is(page):
+    names: dict[str, Any] = {}
+    for node in ast.walk(ast.parse("\n".join(code_of(page.read_text("utf-8"))))):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            if ast.unparse(node).split()[1].split(".")[0] == "astray":
+                exec(ast.unparse(node), names)
+        elif isinstance(node, ast.Call) and callable(called := named(node.func, names)):
+            given = [one for one in node.args if not isinstance(one, ast.Starred)]
+            words = {one.arg: one.value for one in node.keywords if one.arg}
+            inspect.signature(called).bind_partial(*given, **words)
+
+
+def named(node, names):
+    """What a dotted name is, or None if a page does not have it from astray."""
+    if isinstance(node, ast.Attribute):
+        return (whole := named(node.value, names)) and getattr(whole, node.attr)
+    return names.get(getattr(node, "id", ""))
+
+
+@pytest.mark.thorough  # the test before has its names, and `tests/analysis` a World
 def test_the_page_on_worlds_runs_as_it_stands_with_fewer_steps(tmp_path):
     def fewer(text):  # a rollout of 64, in the place of two of 2,048, for each of three agents
         text = text.replace("learn(4_000)", "learn(1)")
@@ -131,6 +157,7 @@ def test_a_tutorial_runs_as_it_stands_with_fewer_steps(page, count, written, tmp
 LIBRARIES = ("stable_baselines3", "torchrl", "pufferlib")
 
 
+@pytest.mark.thorough  # `test_code_of_a_page_imports_and_calls_what_there_is`, `test_friends`
 def test_the_page_for_those_of_other_libraries_runs_where_they_are(tmp_path):
     def installed(page):
         kept, *blocks = page.split("```python\n")
@@ -145,10 +172,15 @@ def test_the_page_for_those_of_other_libraries_runs_where_they_are(tmp_path):
     assert said.count("goal misgenerali") == there
 
 
+def code_of(page):
+    """The blocks of Python in the text of a page."""
+    return [textwrap.dedent(part.partition("```")[0]) for part in page.split("```python\n")[1:]]
+
+
 def run_page(name, count, folder, change=lambda page: page):
     """Run the Python code of a page of the documentation; what it prints."""
     page = change((EXAMPLE.parents[1] / "docs" / f"{name}.md").read_text("utf-8"))
-    blocks = [part.partition("```")[0] for part in page.split("```python\n")[1:]]
+    blocks = code_of(page)
     assert len(blocks) == count
     return run("\n".join(blocks), folder)
 
