@@ -76,9 +76,8 @@ def test_the_page_for_what_is_not_there_leads_back(site):
 @pytest.mark.parametrize(
     "page, width",
     [
-        ("index", 1400),
         ("insight", 420),
-        *thorough(("published", 1400), ("404", 420), ("api/index", 1400)),
+        *thorough(("index", 1400), ("published", 1400), ("404", 420), ("api/index", 1400)),
     ],
 )
 def test_axe_finds_nothing_on_a_page_of_the_site(page, width, site, chrome):

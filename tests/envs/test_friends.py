@@ -43,6 +43,7 @@ def test_stable_baselines3_trains_on_it():
     env.close()
 
 
+@pytest.mark.thorough  # `test_contract` has Gymnasium's checks, on which its wrapper relies
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::UserWarning")
 def test_torchrl_trains_on_it():
     pytest.importorskip("torchrl")

@@ -72,6 +72,8 @@ LIKE_ANOTHER = {
     ("colour-or-shape", "smoke"): "maze-corner",
     ("early-or-late", "smoke"): "minimax-regret",
     ("inherited-goals", "smoke"): "its other size",
+    ("keys-and-chests", "smoke"): "maze-corner; `test_hoarding` computes its numbers",
+    ("maze-memory", "smoke"): "maze-corner; `test_recurrent` trains such networks",
     ("maze-region", "smoke"): "maze-corner",
     ("minimax-regret", "smoke"): "maze-corner, but for the levels of its training",
     ("minimax-regret-dish", "smoke"): "minimax-regret, but for the levels",

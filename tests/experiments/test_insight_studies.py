@@ -18,8 +18,8 @@ from helpers.thorough import thorough
 LEVELS = {"cheese-vector": 6, "retargeting": 18, "decodable": 24, "choice": 1500}
 
 
-# The others fit probes and predictions, which `tests/insight` does, too.
-@pytest.mark.parametrize("name", ["cheese-vector", "retargeting", *thorough("decodable", "choice")])
+# The others add vectors, and fit probes and predictions, which `tests/insight` does, too.
+@pytest.mark.parametrize("name", ["retargeting", *thorough("cheese-vector", "decodable", "choice")])
 def test_studies_of_kept_agents_run_in_miniature(name, tmp_path, monkeypatch):
     # The first layer has thirty times as many numbers as the others, and needs as much longer.
     monkeypatch.setitem(decodable.LAYERS, "smoke", decodable.LAYERS["smoke"][1:])

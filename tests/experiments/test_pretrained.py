@@ -54,6 +54,8 @@ def mouse(written, monkeypatch):
 # the game: so that a part of the levels is enough to see that an agent is the one on its card.
 OUTCOMES_OF = json.loads(Path(__file__).with_name("pretrained.json").read_text())
 CARDS, REPLAYED = 1000, 16  # levels
+LONG = {"coin-end-night", "many-chests-night", "maze-corner-night",
+        "coin-end-pixels", "many-chests-pixels"}  # fmt: skip
 
 
 def told_by_card(name):
@@ -85,7 +87,7 @@ def test_the_outcomes_that_are_known_are_the_cards(name):
     "name",
     [
         # Networks that take four times as long; the same games have an agent that takes less.
-        pytest.param(name, marks=pytest.mark.thorough if name.endswith("-night") else ())
+        pytest.param(name, marks=pytest.mark.thorough if name in LONG else ())
         for name in folders.pretrained()
     ],
 )

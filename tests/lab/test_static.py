@@ -4,6 +4,7 @@ import base64
 import itertools
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ from astray.agents.policy import Architecture
 from astray.analysis.critic import policy_and_value
 from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
-from astray.lab import goals
+from astray.lab import export as export_
+from astray.lab import goals, rules
 from astray.lab.agents import Agents
 from astray.lab.export import export, file_names
 from astray.lab.link import link
@@ -654,14 +656,34 @@ def test_levels_of_an_agent_are_in_no_file_of_another_variants(untrained, tmp_pa
     assert [len(level["text"].splitlines()) for level in levels] == [25, 7]
 
 
-@pytest.mark.parametrize("name", ["grid", *thorough("thief", "kernels", "maze-kernels")])
+@pytest.fixture
+def namesake(monkeypatch):
+    """Function: the pottery shop under another name, as a guest's."""
+
+    def make(name):
+        game = replace(games.find("pottery"), name=name)
+        monkeypatch.setitem(games._registered, name, game)
+        monkeypatch.setitem(grid._MADE, game, grid.world_of(games.find("pottery")))
+        return game
+
+    return make
+
+
+@pytest.mark.parametrize("name", ["grid", "thief", "kernels", "maze-kernels"])
+def test_rules_of_a_guest_are_in_no_file_of_the_page(name, namesake):
+    page = Path(export_.__file__).with_name("page")
+    path = rules.path(game := namesake(name))
+    of_games = {rules.path(games.find(one)) for one in games.OWN}
+    assert not (page / path).exists() and path not in {rules.SHARED, *of_games}
+    assert not is_drawn(game) and path == rules.entry(game)
+
+
+@pytest.mark.thorough  # the test before
+@pytest.mark.parametrize("name", ["grid", "thief", "kernels", "maze-kernels"])
 def test_a_guest_with_the_name_of_a_file_of_the_page_takes_its_place_nowhere(
-    chrome, name, monkeypatch, tmp_path
+    chrome, name, namesake, tmp_path
 ):
-    game = replace(games.find("pottery"), name=name)
-    monkeypatch.setitem(games._registered, name, game)
-    monkeypatch.setitem(grid._MADE, game, grid.world_of(games.find("pottery")))
-    assert not is_drawn(game)
+    game = namesake(name)
     export(usual_lab(), tmp_path / "site", 1, [], {name: "corner"})
     asked = {"kind": "play", "variant": "corner", "level": 0, "agent": "", "actions": [3, 0, 1]}
     with (

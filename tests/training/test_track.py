@@ -148,6 +148,48 @@ def trained_with(by, folder, **variables):
     return folder / "runs" / "seed-0", said
 
 
+class Wandb(Kept, ModuleType):
+    """A library in the place of wandb, and its only run."""
+
+    Settings = staticmethod(lambda **settings: settings)
+
+    def __init__(self):
+        Kept.__init__(self)
+        self.begun, self.metrics = [], []
+
+    def init(self, **how):
+        self.begun.append(how)
+        return self
+
+    def define_metric(self, name, step_metric):
+        self.metrics.append((name, step_metric))
+
+    def Video(self, path, format):
+        return Path(path).stat().st_size > 0, format
+
+    def Table(self, columns, data):
+        return columns, data
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_wandb_is_told_settings_metrics_outcomes_and_a_video(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "wandb", wandb := Wandb())
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    track.train_tracked(CONFIG, tmp_path, "wandb", progress=False)
+    behaviour.track_outcomes(tmp_path, "wandb", levels=4)
+    assert {one["id"] for one in wandb.begun} == {track._id(tmp_path, "wandb")}
+    assert all(one["config"] == CONFIG.to_json() for one in wandb.begun)
+    assert wandb.metrics == 2 * [("*", "steps")] and wandb.ended == len(wandb.begun) == 2
+    rows = [row for _, row in wandb.told]
+    told = [row["training/return"] for row in rows if "training/return" in row]
+    assert told == [line["training/return"] for line in checkpoint.metrics(tmp_path)]
+    (video,) = [row["video"] for row in rows if "video" in row]
+    ((columns, table),) = [row["outcomes"] for row in rows if "outcomes" in row]
+    assert video == (True, "gif") and len(columns) == len(table[0])
+    assert "outcome/goal misgeneralization" in rows[-1] and all("steps" in row for row in rows)
+
+
+@pytest.mark.thorough  # the test before
 @pytest.mark.skipif(not find_spec("wandb"), reason="wandb is not installed")
 def test_wandb_offline_has_settings_metrics_outcomes_and_a_video(tmp_path):
     run, said = trained_with("wandb", tmp_path, WANDB_MODE="offline", WANDB_DIR=str(tmp_path))

@@ -125,6 +125,7 @@ def test_validation_levels_are_not_training_levels():
     assert TINY.training_levels.stop == TINY.unseen_levels.start
 
 
+@pytest.mark.thorough  # `test_an_agent_learns_the_proxy_of_a_world` learns by the same loop
 def test_an_agent_learns_the_way_to_the_corner(tmp_path):
     config = replace(
         TINY,

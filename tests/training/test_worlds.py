@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-import polars as pl
 import pytest
 import torch
 from gymnasium import spaces
@@ -20,6 +19,7 @@ from astray.experiments import outcomes, spec
 from astray.experiments.keep import keep
 from astray.experiments.run import reproduce
 from astray.experiments.spec import Experiment, Plan
+from astray.experiments.sweep import run as sweeping
 from astray.insight.activations import capture
 from astray.training import checkpoint
 from astray.training.config import Config
@@ -387,6 +387,7 @@ def test_the_command_line_trains_on_a_world_and_finds_it_again(astray, tmp_path)
     assert {"end", "anywhere"} >= {row["variant"] for row in told}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_study_trains_agents_on_a_world_in_processes_of_their_own(tmp_path):
     """Its functions have no names, as some in docs/worlds.md, and cannot show images."""
     unnamed = {name: lambda make=make: make() for name, make in WORLD.variants.items()}
@@ -403,9 +404,9 @@ def test_a_study_trains_agents_on_a_world_in_processes_of_their_own(tmp_path):
     assert "reaches “square” first" in told and "none: a video of unnamed-rooms end needs" in told
 
 
-def test_a_sweep_reads_a_knob_that_is_text_as_a_training_does(astray, tmp_path):
+def test_a_sweep_reads_a_knob_that_is_text_as_a_training_does(astray, tmp_path, monkeypatch):
     """It read a number: the default of `place` is text."""
-    few = ("--steps=32", "--num-envs=2", "--num-steps=16", "--minibatches=1", "--num-test-levels=2")
-    axes, out = ("--set", "place=1"), ("--out", str(tmp_path / "swept"))
-    astray("sweep", "helpers.rooms:WORLD", "end", *axes, *few, *out)
-    assert {*pl.read_parquet(tmp_path / "swept/outcomes.parquet")["variant.place"]} == {"1"}
+    swept = []
+    monkeypatch.setattr(sweeping, "run_sweep", lambda sweep, *_, **__: swept.append(sweep))
+    astray("sweep", "helpers.rooms:WORLD", "end", "--set", "place=1", "--out", str(tmp_path))
+    assert [one.knobs for sweep in swept for one in sweep.cells().values()] == [{"place": "1"}]
