@@ -83,9 +83,7 @@ def test_agents_that_differ_widely_are_covered_less_often(agents):
 
 
 @pytest.mark.parametrize(
-    "agents, levels, middle, spread",
-    # `test_paired_rates_of_one_agent_are_covered_wherever_they_are` is of one.
-    [*thorough((1, 100, 3.5, SMALL)), (8, 60, 4.5, LARGE)],
+    "agents, levels, middle, spread", [(1, 100, 3.5, SMALL), *thorough((8, 60, 4.5, LARGE))]
 )
 def test_the_difference_of_two_outcomes_is_covered_where_nearly_all_have_one(
     agents, levels, middle, spread
@@ -109,7 +107,7 @@ def test_the_difference_of_two_outcomes_is_covered_where_nearly_all_have_one(
     assert 0.92 <= np.mean(held) <= 0.99
 
 
-@pytest.mark.parametrize("levels", [20, 60, 100])
+@pytest.mark.parametrize("levels", [20, *thorough(60, 100)])
 def test_paired_rates_of_one_agent_are_covered_wherever_they_are(levels):
     """By the multinomial distribution, without chance; Student's t held 86 of 100."""
     counts = [(more, less) for more in range(levels + 1) for less in range(levels + 1 - more)]
@@ -126,7 +124,7 @@ def test_paired_rates_of_one_agent_are_covered_wherever_they_are(levels):
     assert min(chances) >= 0.93 and np.mean(chances) <= 0.985
 
 
-@pytest.mark.parametrize("how", ["both alike", "one or the other", "by level"])
+@pytest.mark.parametrize("how", [*thorough("both alike", "one or the other"), "by level"])
 def test_paired_rates_of_several_agents_are_covered_where_nearly_all_differ(how):
     """And where few do; Student's t held 85 of 100."""
     for agents, levels, (one, other) in itertools.product(
@@ -172,7 +170,7 @@ def test_intervals_hold_the_truth_where_one_agent_has_most_of_the_episodes(count
         assert held >= 0.92, (middle, spread, held)
 
 
-@pytest.mark.parametrize("agents, levels", [(1, 5), (1, 20), (4, 10)])
+@pytest.mark.parametrize("agents, levels", [(1, 5), *thorough((1, 20), (4, 10))])
 def test_intervals_hold_the_truth_where_some_levels_have_most_of_the_steps(agents, levels):
     """Or the weight: as if levels hardly differed (7 to 89 of 100 held it)."""
     random = np.random.default_rng([agents, levels])
@@ -253,7 +251,7 @@ def test_kinds_that_nearly_all_succeed_and_differ_widely_are_told_apart_too_ofte
     assert 0.89 <= np.mean([one.low <= 0 <= one.high for one in found]) <= 0.95
 
 
-@pytest.mark.parametrize("others, spread", [(5, 0.3), (9, LARGE), (20, LARGE), (9, 0.3)])
+@pytest.mark.parametrize("others, spread", [(9, 0.3), *thorough((5, 0.3), (9, LARGE), (20, LARGE))])
 def test_two_agents_against_many_are_told_apart_too_often(others, spread):
     """As docs/evaluation.md says: Welch's freedom is too much where the two happen to be alike."""
     random = np.random.default_rng(others)
@@ -295,7 +293,7 @@ def test_levels_too_rare_for_a_test_are_missed_by_all_agents(agents, levels, lea
     assert least <= np.mean([one.low <= 0.995 <= one.high for one in found]) <= most
 
 
-@pytest.mark.parametrize("levels", [2, 3, 5, 12])
+@pytest.mark.parametrize("levels", [2, 5, *thorough(3, 12)])
 def test_few_levels_that_differ_are_covered_with_many_agents_too(levels):
     random = np.random.default_rng(levels)
     hard, agent = (
