@@ -12,6 +12,8 @@ import torch
 
 import astray
 from astray import acting, games, protocols, world
+from astray.envs import vector
+from astray.envs.compiled import loop_of
 from astray.training import levels
 from helpers.documented import public
 
@@ -30,6 +32,8 @@ def test_an_example_runs_and_prints_what_it_says(shown, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for module in (games, world):  # what an example registers is not there for other tests
         monkeypatch.setattr(module, "_registered", {**module._registered})
+    if shown is astray.register:  # its game is not played
+        monkeypatch.setattr(vector, "compiled_loop", loop_of)
     names = {"astray": astray, "gymnasium": gymnasium, "np": np, "torch": torch}
     (test,) = doctest.DocTestFinder(recurse=False).find(shown, shown.__name__, globs=names)
     assert test.examples, f"{shown.__name__} shows no example"

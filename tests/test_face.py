@@ -13,6 +13,8 @@ import pytest
 
 import astray
 from astray import games
+from astray.envs import vector
+from astray.envs.compiled import loop_of
 
 FUNCTIONS = sorted({*astray.FACE} - {"PRESETS"})
 
@@ -72,6 +74,7 @@ def test_the_face_imports_no_torch_until_it_is_needed():
 
 def test_a_registered_game_is_found_by_name_and_by_gymnasium(monkeypatch):
     monkeypatch.setattr(games, "_registered", {})
+    monkeypatch.setattr(vector, "compiled_loop", loop_of)  # which is not compiled
     maze = games.find("maze")
     mine = replace(maze, name="mine", variants={"one": maze.variants["corner"]}, shifts={})
     astray.register(mine)

@@ -38,7 +38,7 @@ CONFIG = replace(
 
 
 # The run that is killed; `CONFIG` is for tests that need to be in the middle of one.
-SHORT = replace(CONFIG, steps=16 * 1024)
+SHORT = replace(CONFIG, steps=8 * 1024)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
