@@ -18,14 +18,14 @@ from astray.envs import states as states_in_files
 from astray.envs.states import load_states, save_states
 from astray.envs.vector import GameVectorEnv
 from astray.insight.activations import load_activations
-from helpers.cases import FEW, SHAPES
+from helpers.cases import FEW, FIRST, FIRST_OF_ALL
 
 MODES = list(AutoresetMode)
 WAYS = list(product(MODES, ["image", "symbolic"]))
-# Every way in a game with rules of its own and in a grid world, and a way for each shape in turn.
+# Every way in a game with rules of its own and in a grid world, and one for each other in turn.
 RESTORED = [
     (*shape, *way)
-    for k, shape in enumerate(SHAPES)
+    for k, shape in enumerate(FIRST)
     for way in (WAYS if shape[0] in ("coinrun", "lavaland") else [WAYS[k % len(WAYS)]])
 ]
 
@@ -92,7 +92,7 @@ def test_a_copied_environment_goes_on_alone(copied, mode, threads):
     two.close()
 
 
-@pytest.mark.parametrize("game, variant", FEW)
+@pytest.mark.parametrize("game, variant", FIRST_OF_ALL)
 def test_one_state_is_cloned_into_many_environments(game, variant):
     env = played(game, variant)
     many = GameVectorEnv(game, env.variant, 32, autoreset_mode="SameStep")

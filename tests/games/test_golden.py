@@ -8,7 +8,7 @@ import pytest
 
 from astray import games
 from helpers import golden
-from helpers.cases import ALL, SHAPES
+from helpers.cases import ALL, FIRST, SHAPES
 from helpers.processes import environment
 from helpers.thorough import thorough
 
@@ -19,7 +19,7 @@ def test_levels_observations_and_episodes_are_what_they_were(game, variant):
     assert golden.differing(game, {variant: golden.golden(game, variant, steps=steps)}) == []
 
 
-@pytest.mark.parametrize("game, variant", SHAPES)
+@pytest.mark.parametrize("game, variant", FIRST)
 @pytest.mark.parametrize("how", [{"batch": 65, "threads": 2}, *thorough({"batch": 1})])
 def test_neither_batch_nor_threads_matter(game, variant, how):
     found = golden.golden(game, variant, steps=100, **how)
@@ -34,7 +34,7 @@ def test_every_variant_is_digested(game):
 
 
 @pytest.mark.waits
-@pytest.mark.thorough  # `test_contract` interprets a few steps of each shape
+@pytest.mark.thorough  # `test_contract` interprets a few steps of each game
 def test_interpreted_code_does_the_same():
     """In one process, as starting it takes as long as most games."""
     program = "import json; from helpers import golden; print(json.dumps(golden.few_of_all()))"

@@ -110,7 +110,7 @@ def test_no_agent_begins_on_what_it_was_to_get():
         Level.from_text(level.game, level.variant, f"{level}\n@ on x")
 
 
-@pytest.mark.parametrize("game, variant", FEW)
+@pytest.mark.parametrize("game, variant", FIRST_OF_ALL)
 def test_a_level_that_is_given_as_data_has_no_number(game, variant):
     level = one(game, variant)
     env = GameVectorEnv(game, variant, 2)
@@ -118,7 +118,7 @@ def test_a_level_that_is_given_as_data_has_no_number(game, variant):
     assert info["level"].tolist() == [NEVER, NEVER] and level.state()["level"] == NEVER
 
 
-@pytest.mark.parametrize("game, variant", FEW)
+@pytest.mark.parametrize("game, variant", FIRST_OF_ALL)
 def test_objects_are_moved_removed_and_added(game, variant):
     level = one(game, variant)
     for name in level.game.editing.OBJECTS:

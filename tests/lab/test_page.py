@@ -216,7 +216,8 @@ def test_an_agent_that_picks_up_and_drops_in_its_place_is_not_idle(chrome):
     turns = itertools.cycle([5, 6])  # pick, drop
     juggler = Function(lambda seen: np.full(len(seen), next(turns)), "juggler", "symbolic")
     shards = "@...\n..b.\n....\n....\n@ on s"
-    lab = make_lab(juggler, {"game": "pottery", "variant": "anywhere", "level": shards})
+    start = {"game": "pottery", "variant": "anywhere", "level": shards}
+    lab = make_lab(juggler, start | {"knobs": {"time_limit": 20}})
     with lab_served(lab) as address, opened(chrome, address, ready="lab.agent") as (page, _):
         page.locator("[data-lab=speed]").select_option("fast")
         page.get_by_role("button", name="Hand over to the agent").click()
