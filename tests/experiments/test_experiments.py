@@ -422,19 +422,21 @@ LINES = "agents/*/seed-*/metrics.jsonl"
 
 @pytest.mark.skipif(os.name == "nt", reason="needs signals")
 @pytest.mark.parametrize(
-    "first, sent, code, told",
+    "workers, first, sent, code, told",
     [
         # `test_streams` interrupts a training.
         *thorough(
-            ("agents", signal.SIGINT, 130, "interrupted"),
-            (LINES, signal.SIGINT, 130, "interrupted"),
+            (2, "agents", signal.SIGINT, 130, "interrupted"),
+            (2, LINES, signal.SIGINT, 130, "interrupted"),
+            (2, LINES, signal.SIGTERM, 143, "terminated"),
         ),
         # As timeout, systemd and Slurm do: it ends the trainings before they are told to end.
-        (LINES, signal.SIGTERM, 143, "terminated"),
+        (1, LINES, signal.SIGTERM, 143, "terminated"),
     ],
 )
-def test_an_interrupt_ends_all_trainings_in_a_line(first, sent, code, told, tmp_path):
-    begun = begin(ASTRAY, tmp_path, "reproduce", "boat-race", "--out", tmp_path)
+def test_an_interrupt_ends_all_trainings_in_a_line(workers, first, sent, code, told, tmp_path):
+    words = ("reproduce", "boat-race", "--workers", workers, "--out", tmp_path)
+    begun = begin(ASTRAY, tmp_path, *words)
     try:
         wait_for(lambda: list(tmp_path.glob(first)), PATIENCE)
         os.killpg(begun.process.pid, sent)  # as a terminal does: to all of them

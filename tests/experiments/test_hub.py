@@ -79,6 +79,7 @@ def test_what_is_pulled_is_the_agent_that_was_pushed(pushed, tmp_path):
     assert ours_plays.equals(theirs)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_is_pushed_with_a_card_that_tells_what_it_pursues(server, tmp_path):
     config = TINY.__class__(**vars(TINY) | {"knobs": {"time_limit": 30}})
     train(config, tmp_path / "run", progress=False)
