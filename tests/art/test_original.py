@@ -14,6 +14,8 @@ from astray.acting import Turn
 from astray.agents.policy import Architecture, weights
 from astray.analysis.runs import open_run
 from astray.analysis.trained import Agent
+from astray.envs import vector
+from astray.envs.compiled import loop_of
 from astray.envs.pictures import picture
 from astray.envs.vector import GameVectorEnv
 from astray.games.maze.variants import Maze
@@ -22,11 +24,33 @@ from helpers import processes
 from helpers.cases import REFERENCE
 from helpers.drawn import DRAWN, digest, environment
 from helpers.recorded import RECORDED
+from helpers.thorough import thorough
 
 FRAMES = json.loads((REFERENCE / "frames.json").read_text())
 
 
-@pytest.mark.parametrize("name", FRAMES)
+OF_KEYS = [name for name in FRAMES if name.startswith("keys")]
+
+
+@pytest.mark.parametrize("name", OF_KEYS)
+def test_interpreted_frames_are_the_originals(name, monkeypatch):
+    """As of keys few tests draw so, and compiling takes 20 times as long as interpreting."""
+    env = GameVectorEnv("keys", DRAWN[name], 1, observation="symbolic", autoreset_mode="Disabled")
+    states, frames = [], []
+    for episode in FRAMES[name]:
+        env.reset(seed=0, options={"level": episode["level"]})
+        seen = [env.get_state()]
+        for action in episode["actions"]:
+            env.step(np.array([int(action)]))
+            seen.append(env.get_state())
+        states += [seen[int(step)] for step in [*episode["frames"]][::4]]
+        frames += [*episode["frames"].values()][::4]
+    monkeypatch.setattr(vector, "compiled_loop", lambda *of: loop_of(*of).py_func)
+    images = environment(DRAWN[name], len(states)).set_state(np.concatenate(states))
+    assert [digest(image) for image in images] == frames
+
+
+@pytest.mark.parametrize("name", [*sorted(FRAMES.keys() - OF_KEYS), *thorough(*OF_KEYS)])
 def test_frames_are_the_originals(name):
     for episode in FRAMES[name]:
         env = environment(DRAWN[name])
@@ -75,20 +99,20 @@ def test_interpreted_code_draws_the_same():
     assert said[0] == said[1] and len(said[0].split()) == 6
 
 
+@pytest.mark.parametrize("name", ["coinrun", "maze_memory", *thorough("keys_many_keys")])
 @pytest.mark.parametrize("pixels", [64, 63, 130, 512])
-def test_pictures_for_people_have_the_same_things_at_any_scale(pixels):
-    for name in ("coinrun", "maze_memory", "keys_many_keys"):
-        env = environment(DRAWN[name], 2)
-        images, _ = env.reset(seed=0, options={"level": [3, 4]})
-        shown = env.picture(pixels)
-        assert shown.shape == (2, pixels, pixels, 3)
-        assert pixels != 64 or np.array_equal(shown, images)
-        small = [
-            np.array(Image.fromarray(one).resize((8, 8), Image.Resampling.BOX), int)
-            for one in (*shown, *images)
-        ]
-        # Nearest pixels of fine pictures are speckled at 64 pixels; their means are alike.
-        assert np.abs(small[0] - small[2]).mean() < 16 and np.abs(small[1] - small[3]).mean() < 16
+def test_pictures_for_people_have_the_same_things_at_any_scale(pixels, name):
+    env = environment(DRAWN[name], 2)
+    images, _ = env.reset(seed=0, options={"level": [3, 4]})
+    shown = env.picture(pixels)
+    assert shown.shape == (2, pixels, pixels, 3)
+    assert pixels != 64 or np.array_equal(shown, images)
+    small = [
+        np.array(Image.fromarray(one).resize((8, 8), Image.Resampling.BOX), int)
+        for one in (*shown, *images)
+    ]
+    # Nearest pixels of fine pictures are speckled at 64 pixels; their means are alike.
+    assert np.abs(small[0] - small[2]).mean() < 16 and np.abs(small[1] - small[3]).mean() < 16
 
 
 def test_versions_of_qt_differ_in_a_few_pixels():

@@ -21,6 +21,8 @@ from astray.lab import rules
 from astray.training.fast import fused, sparse
 from astray.training.ppo import Samples
 
+INTERPRETED = "heist", "keys"  # which `make test` draws as the original without compiling that
+
 
 def main() -> None:
     # Garbage is looked for less often, which saves a twentieth.
@@ -36,7 +38,7 @@ def compile_game(name: str) -> None:
     arts = (OWN, *(() if set(original.missing()) - set(original.FORK_ALONE) else ("original",)))
     game = games.find(name)
     for art in arts:
-        if art in game.looks:
+        if art in game.looks and (art == OWN or name not in INTERPRETED):
             compiled_loop(game, art)
     env = GameVectorEnv(game, game.benchmark.variant, observation="symbolic")
     env.reset(seed=0)
