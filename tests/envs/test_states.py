@@ -18,7 +18,8 @@ from astray.envs import states as states_in_files
 from astray.envs.states import load_states, save_states
 from astray.envs.vector import GameVectorEnv
 from astray.insight.activations import load_activations
-from helpers.cases import FEW, FIRST, FIRST_OF_ALL
+from helpers.cases import FEW, FIRST, FIRST_OF_ALL, SHAPES
+from helpers.thorough import thorough
 
 MODES = list(AutoresetMode)
 WAYS = list(product(MODES, ["image", "symbolic"]))
@@ -28,6 +29,8 @@ RESTORED = [
     for k, shape in enumerate(FIRST)
     for way in (WAYS if shape[0] in ("coinrun", "lavaland") else [WAYS[k % len(WAYS)]])
 ]
+OTHERS = [shape for shape in SHAPES if shape not in FIRST]
+RESTORED += thorough(*((*shape, *WAYS[k % len(WAYS)]) for k, shape in enumerate(OTHERS)))
 
 
 def played(game, variant, mode="SameStep", steps=20, n=4, **options):
