@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import threading
 import time
 
 import pytest
@@ -227,3 +228,77 @@ def test_an_agent_that_has_moved_to_no_address_is_not_reached(hub, tmp_path, to)
     with pytest.raises(ValueError, match="an agent's name must be of a-z"):
         ours.pull("ada/mouse", name=3)
     assert (tmp_path / "mine").read_text() == MINE
+
+
+def at_once(server, kind, *answers):
+    """Let a hub answer with a status, headers and a body each; the last one again and again."""
+
+    def say(handler):
+        server.requests.append(handler.path)
+        status, headers, body = answers[min(len(server.requests), len(answers)) - 1]
+        handler.body()
+        handler.answer(status, body, **headers)
+
+    server.requests.clear()
+    return [(f"helpers.hub_server.Handler.do_{method}", say) for method in kind]
+
+
+@pytest.mark.parametrize("ask", [lambda: ours.pull("ada/mouse"), lambda: push("ada/mouse")])
+@pytest.mark.parametrize(
+    "headers", [{"Retry-After": "1000000000"}, {"Retry-After": "9" * 400},
+                {"RateLimit": '"api";r=0;t=299'}]
+)  # fmt: skip
+def test_a_hub_that_asks_to_wait_for_years_is_not_waited_for(hub, monkeypatch, ask, headers):
+    slept = []
+    monkeypatch.setattr("time.sleep", slept.append)
+    for name, say in at_once(hub, ["GET", "HEAD"], (429, headers, b"")):
+        monkeypatch.setattr(name, say)
+    with pytest.raises(OSError, match=r"ada/mouse cannot be pu.*ed: the Hub says 429: wait [192]"):
+        ask()
+    assert not slept
+
+
+def push(repository):
+    return ours.push(folders.find("maze-corner"), repository)
+
+
+def test_a_hub_that_answers_a_push_with_silence_is_not_waited_for(hub, monkeypatch):
+    monkeypatch.setattr(download, "WAIT", 0.2)
+    monkeypatch.setattr("helpers.hub_server.Handler.do_GET", lambda _: threading.Event().wait(9))
+    begun = time.monotonic()
+    with pytest.raises(OSError, match=r"^ada/new cannot be pushed: the connection failed .timed"):
+        push("ada/new")
+    assert time.monotonic() - begun < 9
+
+
+@pytest.mark.parametrize(
+    "headers, body, said",
+    [
+        ({}, b" " * 2**26, "answers have more than 33,554,432 bytes"),
+        ({"Link": '<{}/x>; rel="next"'}, b"[]", "answers have more than 33,554,432 bytes"),
+        ({"Content-Encoding": "gzip"}, b"[]", "is compressed by 'gzip', unasked"),
+        ({}, b"<html>", "no Hub answers so: JSONDecodeError"),
+    ],
+)
+def test_answers_to_a_push_are_limited(hub, monkeypatch, headers, body, said):
+    headers = {name: text.format(hub.address) for name, text in headers.items()}
+    for name, say in at_once(hub, ["GET"], (200, headers, body)):
+        monkeypatch.setattr(name, say)
+    with pytest.raises(ValueError, match=f"^ada/mouse cannot be pushed: .*{said}"):
+        push("ada/mouse")
+
+
+@pytest.mark.parametrize("ask", [lambda: ours.pull("ada/mouse"), lambda: push("ada/mouse")])
+def test_what_a_hub_says_of_other_programs_is_not_kept(hub, monkeypatch, tmp_path, ask):
+    """A list in the place of an object let each later request fail for a day, to any Hub."""
+    from huggingface_hub import constants
+    from huggingface_hub.utils import _detect_agent
+
+    there = tmp_path / "cache" / "harnesses"
+    there.parent.mkdir()
+    there.write_text("[1]")
+    monkeypatch.setattr(constants, "AGENT_HARNESSES_PATH", str(there))
+    monkeypatch.setattr(_detect_agent, "_registry", None)
+    ask()
+    assert not any("harnesses" in asked for asked in hub.requests)
+    assert not constants.HF_HUB_DISABLE_TELEMETRY

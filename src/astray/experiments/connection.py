@@ -5,6 +5,7 @@ path, it would write elsewhere or link to a file of the user's.
 """
 
 import contextlib
+import json
 import logging
 import re
 import sys
@@ -12,16 +13,19 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from http import HTTPStatus
 from typing import Any, TypeVar
 
 from astray.published import download
-from astray.published.download import LEAST, in_time
+from astray.published.download import LEAST, MOST_DIGITS, in_time
 from astray.validation import brief, shown
 
 COMMIT = re.compile(r"[0-9a-f]{40,64}")
 ONE = threading.Lock()  # as the process has one factory of clients
 T = TypeVar("T")
 ETAG = re.compile(r'(W/)?"?[0-9A-Za-z_-]{8,128}"?')  # the Hub's are digests
+RESET = re.compile(r"(?:^|;\s*t\s*=\s*)(\d+)")  # seconds in Retry-After and RateLimit
+LARGEST = 2**25  # bytes of all answers to a push
 
 
 @dataclass
@@ -53,13 +57,21 @@ class Wary:
         self.arrived += count
 
     def ask(self, request: Any) -> None:
-        """Request files uncompressed: a few compressed bytes could unpack to any size."""
+        """Request answers uncompressed, as few bytes could unpack to any size, and in time."""
         self.come(0)
         request.headers["Accept-Encoding"] = "identity"
+        limits = dict.fromkeys(("connect", "read", "write", "pool"), download.WAIT)
+        request.extensions["timeout"] = limits | {
+            name: most for name, most in request.extensions["timeout"].items() if most is not None
+        }
 
     def see(self, answer: Any) -> None:
-        """Raise ValueError if an answer contains a path, is compressed, or is too large."""
+        """Raise ValueError if an answer contains a path, is compressed, or is too large.
+
+        OSError is raised if it asks to wait for long.
+        """
         headers, asked = answer.headers, answer.request.method
+        _check_wait(answer)
         self.come(LEAST)
         _check_name("commit", headers.get("X-Repo-Commit"), COMMIT)
         if asked == "HEAD":
@@ -70,9 +82,8 @@ class Wary:
             answer.stream.close()
             answer.stream = http().ByteStream(b"")
         elif asked == "GET":
-            encoding, size = headers.get("Content-Encoding"), headers.get("Content-Length")
-            if encoding not in (None, "identity"):
-                raise ValueError(f"the Hub's answer is compressed by {shown(encoding)}, unasked")
+            size = headers.get("Content-Length")
+            _check_plain(answer)
             if not size or not size.isdecimal() or int(size) > self.most:
                 raise ValueError(
                     f"the Hub's answer must be of at most {self.most:,} bytes; it says "
@@ -80,18 +91,42 @@ class Wary:
                 )
             answer.stream = _counted(answer.stream, self.come, int(size))
 
+    def pace(self, answer: Any) -> None:
+        """Raise ValueError if answers to a push are too large, OSError if one comes too slowly.
 
-def _pace(answer: Any) -> None:
-    """Let an answer to a push raise OSError if it comes too slowly, as by a byte now and then."""
-    begun, arrived = time.monotonic(), 0
+        All together are limited, as a list of files can have pages without end.
+        """
+        _check_wait(answer)
+        _check_plain(answer)
+        self.come(LEAST)
+        begun, before = time.monotonic(), self.arrived
 
-    def come(count: int) -> None:
-        nonlocal arrived
-        arrived += count
-        if time.monotonic() - begun > download.WAIT * (1 + arrived // LEAST):
-            raise OSError(f"fewer than {LEAST:,} bytes came in {download.WAIT:g} seconds")
+        def come(count: int) -> None:
+            self.come(count)
+            if self.arrived > LARGEST:
+                raise ValueError(f"the Hub's answers have more than {LARGEST:,} bytes")
+            if time.monotonic() - begun > download.WAIT * (1 + (self.arrived - before) // LEAST):
+                raise OSError(f"fewer than {LEAST:,} bytes came in {download.WAIT:g} seconds")
 
-    answer.stream = _counted(answer.stream, come, sys.maxsize)
+        come(0)
+        answer.stream = _counted(answer.stream, come, sys.maxsize)
+
+
+def _check_wait(answer: Any) -> None:
+    """Raise OSError if the library would wait for long before it asks again."""
+    told = [answer.headers.get("Retry-After", "")]
+    if answer.status_code == HTTPStatus.TOO_MANY_REQUESTS:  # else it tells how many are left
+        told.append(answer.headers.get("RateLimit", ""))
+    for seconds in (one for text in told for one in RESET.findall(text.strip())):
+        if not answer.is_success and (len(seconds) > MOST_DIGITS or int(seconds) > download.WAIT):
+            raise OSError(f"the Hub says {answer.status_code}: wait {brief(seconds)} seconds")
+
+
+def _check_plain(answer: Any) -> None:
+    """Raise ValueError if an answer is compressed."""
+    encoding = answer.headers.get("Content-Encoding")
+    if encoding not in (None, "identity"):
+        raise ValueError(f"the Hub's answer is compressed by {shown(encoding)}, unasked")
 
 
 def _counted(stream: Any, come: Callable[[int], None], most: int) -> Any:
@@ -121,24 +156,26 @@ def _check_name(what: str, given: str | None, known: re.Pattern[str]) -> None:
 
 @contextlib.contextmanager
 def wary(pushes: bool = False) -> Iterator[Wary]:
-    """Check every answer, to a push only its pace, while other threads wait for their turn."""
-    from huggingface_hub import set_client_factory
+    """Check every answer, to a push its size and pace, while other threads wait for their turn."""
+    from huggingface_hub import constants, set_client_factory
     from huggingface_hub.utils import _http
 
     seen = Wary()
 
     def make() -> Any:
         client = made()
-        hooks = {"response": [_pace]} if pushes else {"request": [seen.ask], "response": [seen.see]}
+        hooks = {"request": [seen.ask], "response": [seen.pace if pushes else seen.see]}
         client.event_hooks = {n: [*own, *hooks.get(n, ())] for n, own in client.event_hooks.items()}
         return client
 
     with ONE:
         made = _http._GLOBAL_CLIENT_FACTORY  # of the user's, with their proxies and certificates
         set_client_factory(make)
-        try:
+        telemetry, constants.HF_HUB_DISABLE_TELEMETRY = constants.HF_HUB_DISABLE_TELEMETRY, True
+        try:  # for telemetry it would keep what any Hub sends, and fail for a day where that is odd
             yield seen
         finally:
+            constants.HF_HUB_DISABLE_TELEMETRY = telemetry
             set_client_factory(made)
 
 
@@ -189,11 +226,12 @@ def reached(repository: str, revision: str | None, what: str, lacking: str) -> I
             raise PermissionError(f"{message}; see hf auth login, or HF_TOKEN") from error
         raise OSError(message) from error
     except (errors.OfflineModeIsEnabled, *unreachable()) as error:
+        onward = "; the same command goes on with what has arrived" * (what == "pulled")
         raise OSError(
-            f"{of} cannot be {what}: the connection failed ({brief(error)}); the same command "
-            "goes on with what has arrived"
+            f"{of} cannot be {what}: the connection failed ({brief(error)}){onward}"
         ) from error
-    except (LookupError, TypeError, AttributeError) as error:  # of the library, which trusts it
+    except (LookupError, TypeError, AttributeError, json.JSONDecodeError) as error:
+        # of the library, which trusts it
         raise ValueError(f"{of} cannot be {what}: no Hub answers so: {error!r}") from error
     except (OSError, ValueError) as error:
         said = brief(error).partition("\n")[0]  # then the library's advice
