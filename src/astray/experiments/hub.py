@@ -8,6 +8,7 @@ network. digests.json: the size and SHA-256 of each of these.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import json
 import re
@@ -167,9 +168,10 @@ def _check_ours(api: HfApi, repository: str, revision: str | None) -> None:
     from huggingface_hub.errors import RepositoryNotFoundError, RevisionNotFoundError
 
     there: set[str] = set()
-    with reached(repository, revision, "pushed", DIGESTS), wary(pushes=True):
+    with reached(repository, revision, "pushed", DIGESTS), wary(pushes=True) as answers:
         with contextlib.suppress(RepositoryNotFoundError, RevisionNotFoundError):  # it is new
-            there = {*api.list_repo_files(repository, revision=revision)} - ANYONES
+            ask = functools.partial(api.list_repo_files, repository, revision=revision)
+            there = {*answers.brought(ask)} - ANYONES
         if there and DIGESTS not in there:
             told = f"it holds {shown(min(there))}, which astray did not write"
             raise OSError(f"{told}; push to a repository of its own")
