@@ -225,14 +225,21 @@ def paired(table: pl.DataFrame) -> pl.DataFrame:
         "level", by_script=pl.col("fate") == TAKEN
     )
     both = table.filter(test=ANYWHERE).join(ghost, on=keys).join(script, on="level").sort(keys)
-    along, height = pl.col("place_x") / pl.col("end_x"), pl.col("place_y")
-    thirds, steps = [FIRST, SECOND, LAST], [LOW, HIGHER, HIGHEST]
+    rate = pl.col("place_x") / pl.col("end_x")
     return both.with_columns(
         gain=(pl.col("fate") == TAKEN).cast(pl.Float64) - pl.col("touched"),
         all=pl.lit("all"),
         way=pl.when("by_script").then(pl.lit(ON_WAY)).otherwise(pl.lit(OFF_WAY)),
-        part=along.cut([1 / 3, 2 / 3], labels=thirds, left_closed=True).cast(pl.String),
-        height=height.cut([2, 5], labels=steps).cast(pl.String),
+        part=pl.when(rate < 1 / 3)
+        .then(pl.lit(FIRST))
+        .when(rate < 2 / 3)
+        .then(pl.lit(SECOND))
+        .otherwise(pl.lit(LAST)),
+        height=pl.when(pl.col("place_y") <= 2)
+        .then(pl.lit(LOW))
+        .when(pl.col("place_y") <= 5)
+        .then(pl.lit(HIGHER))
+        .otherwise(pl.lit(HIGHEST)),
     )
 
 
