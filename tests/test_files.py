@@ -319,6 +319,17 @@ def test_a_check_that_made_a_folder_leaves_it_to_another_that_holds_it(tmp_path)
     assert not (tmp_path / "run").exists()
 
 
+def test_a_folder_that_is_removed_while_it_is_looked_at_is_made_anew(tmp_path, monkeypatch):
+    there = os.path.lexists
+
+    def removed(path):
+        return there(path) and (path.name != "run" or path.rmdir() is None)
+
+    (run := tmp_path / "run").mkdir()
+    monkeypatch.setattr(os.path, "lexists", removed)
+    assert make_folder(run) == [run] and run.is_dir()
+
+
 def test_a_folder_that_is_removed_while_another_waits_for_it_is_made_anew(tmp_path, capsys):
     """The one that waited ended with FileNotFoundError, where the first had made the folder."""
 

@@ -102,6 +102,8 @@ def make_folder(folder: Path) -> list[Path]:
     """
     missing = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
     if not (last := (folder, *folder.parents)[len(missing)]).is_dir():
+        if not os.path.lexists(last):  # another process has just removed it
+            return make_folder(folder)
         raise NotADirectoryError(f"{last} must be a folder; it is a file, or a link to none")
     folder.mkdir(parents=True, exist_ok=True)
     return missing
