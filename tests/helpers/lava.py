@@ -11,7 +11,7 @@ import numpy as np
 
 from astray.game import OWN, Game, Looks, More, Never, Shift, Truncated, Variant
 from astray.kernel.jit import kernel, shared
-from astray.record import NEVER, state_dtype
+from astray.record import state_dtype
 
 CELLS, START = 40, 2
 ACTIONS = ("left", "stay", "right")
@@ -27,8 +27,7 @@ class Row(Variant):
 
 @kernel
 def generate(s, p):
-    s.x, s.apples, s.lava = START, 0, p.lava
-    s.reached_goal = s.burnt = NEVER
+    s.x, s.lava = START, p.lava
 
 
 @kernel

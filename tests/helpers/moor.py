@@ -15,7 +15,6 @@ from astray.grid.rules import ACTIONS as ACTIONS
 from astray.grid.rules import begin_anywhere, clear, first, scatter, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
-from astray.record import NEVER
 
 SIDE = 5  # cells
 BOG, STONE, CHEESE = 2, 3, 4
@@ -34,7 +33,6 @@ class Moor(Variant):
 @kernel
 def furnish(s, p):
     s.luck, s.wide, s.stride, s.rain = below(s, 1000), 2**60 + below(s, 1000), p.stride, p.valueOf
-    s.reached_cheese = s.sank = NEVER
 
 
 @shared

@@ -8,7 +8,7 @@ import numpy as np
 from astray.game import OWN, Game, Looks, Shift, Variant
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
-from astray.record import NEVER, state_dtype
+from astray.record import first, state_dtype
 
 SIDE = 16  # cells
 ACTIONS = ("stay", "left", "right", "down", "up")
@@ -29,15 +29,13 @@ def generate(s, p):
     mouse = below(s, SIDE * SIDE - 1)  # never in the last cell, the upper right corner
     cheese = SIDE * SIDE - 1 if p.corner else (mouse + 1 + below(s, SIDE * SIDE - 1)) % SIDE**2
     s.x, s.y, s.cheese_x, s.cheese_y = mouse % SIDE, mouse // SIDE, cheese % SIDE, cheese // SIDE
-    s.reached_cheese = s.reached_corner = NEVER
 
 
 @kernel
 def step(s, action):
     s.x = min(max(s.x + DX[action], 0), SIDE - 1)
     s.y = min(max(s.y + DY[action], 0), SIDE - 1)
-    if s.x == s.y == SIDE - 1 and s.reached_corner == NEVER:
-        s.reached_corner = s.time
+    s.reached_corner = first(s, s.reached_corner, s.x == s.y == SIDE - 1)
     if s.x != s.cheese_x or s.y != s.cheese_y:
         return 0.0, False
     s.reached_cheese = s.time
