@@ -14,15 +14,13 @@ from astray.acting import Turn
 from astray.agents.policy import Architecture, weights
 from astray.analysis.runs import open_run
 from astray.analysis.trained import Agent
-from astray.envs import vector
-from astray.envs.compiled import loop_of
 from astray.envs.pictures import picture
 from astray.envs.vector import GameVectorEnv
 from astray.games.maze.variants import Maze
 from astray.training.config import Config
 from helpers import processes
 from helpers.cases import REFERENCE
-from helpers.drawn import DRAWN, digest, environment
+from helpers.drawn import DRAWN, digest, environment, interpreted
 from helpers.recorded import RECORDED
 from helpers.thorough import thorough
 
@@ -34,20 +32,8 @@ OF_KEYS = [name for name in FRAMES if name.startswith("keys")]
 
 @pytest.mark.parametrize("name", OF_KEYS)
 def test_interpreted_frames_are_the_originals(name, monkeypatch):
-    """To compile how the game is drawn takes 8 seconds, and an interpreted frame 20 ms."""
-    env = GameVectorEnv("keys", DRAWN[name], 1, observation="symbolic", autoreset_mode="Disabled")
-    states, frames = [], []
-    for episode in FRAMES[name]:
-        env.reset(seed=0, options={"level": episode["level"]})
-        seen = [env.get_state()]
-        for action in episode["actions"]:
-            env.step(np.array([int(action)]))
-            seen.append(env.get_state())
-        states += [seen[int(step)] for step in [*episode["frames"]][::4]]
-        frames += [*episode["frames"].values()][::4]
-    monkeypatch.setattr(vector, "compiled_loop", lambda *of: loop_of(*of).py_func)
-    images = environment(DRAWN[name], len(states)).set_state(np.concatenate(states))
-    assert [digest(image) for image in images] == frames
+    drawn, recorded, _ = interpreted(DRAWN[name], FRAMES[name], monkeypatch)
+    assert drawn == recorded
 
 
 @pytest.mark.parametrize("name", [*sorted(FRAMES.keys() - OF_KEYS), *thorough(*OF_KEYS)])

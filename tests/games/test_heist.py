@@ -5,11 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from astray.envs import vector
-from astray.envs.compiled import loop_of
-from astray.envs.vector import GameVectorEnv
 from helpers.cases import REFERENCE
-from helpers.drawn import digest, environment
+from helpers.drawn import digest, environment, interpreted
 from helpers.recorded import HEIST
 
 RECORDED = json.loads((REFERENCE / "heist.json").read_text())
@@ -17,23 +14,9 @@ RECORDED = json.loads((REFERENCE / "heist.json").read_text())
 
 @pytest.mark.parametrize("mode", RECORDED)
 def test_episodes_end_as_the_originals_and_interpreted_frames_are_theirs(mode, monkeypatch):
-    """To compile how the game is drawn takes 18 seconds, and an interpreted frame 30 ms."""
-    env = GameVectorEnv("heist", HEIST[mode], 1, observation="symbolic", autoreset_mode="Disabled")
-    states, frames = [], []
-    for episode in RECORDED[mode]:
-        env.reset(seed=0, options={"level": episode["level"]})
-        seen, total, over = [env.get_state()], 0.0, False
-        for action in episode["actions"]:
-            assert not over, "actions after the end"
-            _, reward, terminated, truncated, _ = env.step(np.array([int(action)]))
-            seen, total = [*seen, env.get_state()], total + reward[0]
-            over = bool(terminated[0] or truncated[0])
-        assert (total, over) == (episode["reward"], episode["done"])
-        states += [seen[int(step)] for step in [*episode["frames"]][::4]]
-        frames += [*episode["frames"].values()][::4]
-    monkeypatch.setattr(vector, "compiled_loop", lambda *of: loop_of(*of).py_func)
-    images = environment(HEIST[mode], len(states)).set_state(np.concatenate(states))
-    assert [digest(image) for image in images] == frames
+    drawn, recorded, ends = interpreted(HEIST[mode], RECORDED[mode], monkeypatch)
+    assert ends == [(episode["reward"], episode["done"]) for episode in RECORDED[mode]]
+    assert drawn == recorded
 
 
 @pytest.mark.thorough  # the test before
