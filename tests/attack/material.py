@@ -173,7 +173,7 @@ def _report(made: Path) -> None:
 
 def sweep_words(folder: Path) -> tuple[object, ...]:
     """The command of the sweep that is made."""
-    tiny = TINY[: TINY.index("--set")]
+    tiny = TINY[: TINY.index("--width")]
     return (
         "sweep",
         *tiny,
