@@ -185,15 +185,20 @@ def folder_aside(path: Path, told: Path | None = None) -> Iterator[Path]:
 def files_aside(folder: Path, mark: str, sign: bytes) -> Iterator[Path]:
     """Yield a new folder, whose files get to `folder` on success, and on failure none of them.
 
-    Those that killed processes left, whose locks are free, are removed.
+    Those that killed processes left, whose locks are free or not there yet, are removed.
 
     Raises:
         OSError: As `check_free` does, for the names of the files.
     """
-    for lock in folder.glob(f".{mark}.*/{LOCK}"):
-        if ASIDE.fullmatch(lock.parent.name) and not lock.parent.is_symlink():
-            with contextlib.suppress(Timeout), hold(lock.parent, "writes", wait=False):
-                shutil.rmtree(lock.parent, ignore_errors=True)
+    for left in folder.glob(f".{mark}.*"):
+        if not ASIDE.fullmatch(left.name) or left.is_symlink():
+            continue
+        if (left / LOCK).exists():
+            with contextlib.suppress(Timeout), hold(left, "writes", wait=False):
+                shutil.rmtree(left, ignore_errors=True)
+        else:
+            with contextlib.suppress(OSError):  # it is a file, or holds something
+                left.rmdir()
     with folder_aside(folder / mark, folder) as aside, hold(aside, "writes"):
         yield aside
         check_free(folder, mark, sign, {*os.listdir(aside)} - {LOCK})
