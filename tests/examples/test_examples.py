@@ -121,7 +121,7 @@ def test_code_of_a_page_imports_and_calls_what_there_is(page):
 
 
 def named(node, names):
-    """What a dotted name is, or None if a page does not have it from astray."""
+    """Return the value of a dotted name, or None if a page does not have it from astray."""
     if isinstance(node, ast.Attribute):
         return (whole := named(node.value, names)) and getattr(whole, node.attr)
     return names.get(getattr(node, "id", ""))
