@@ -1,26 +1,25 @@
 # Everything in one virtual environment, with pinned versions.
 PYTHON ?= python3
 BIN := .venv/bin
+PIP = $(BIN)/python -m pip install --quiet
+CORE := .venv/core
 INSTALLED := .venv/installed
 
-.PHONY: demo test tested quick compiled thorough fuzz attack golden check lint docs bench wheel lowest sbom notebooks clean
+.PHONY: demo test tested quick pictures games compiled thorough fuzz attack golden check lint docs bench wheel lowest sbom notebooks clean
 
 # Train mice on cheese in the corner, test them on cheese anywhere, report what they pursue.
 demo: $(INSTALLED)
 	$(BIN)/astray reproduce maze-corner --size smoke
 
-# All checks, the documentation, and all tests; those that compare images with the original's need
-# its pictures, which are fetched where the package index answers, and are skipped where not.
-# Compiling begins first; types and pages are checked beside it, or beside the tests.
-test: export ASTRAY_ART ?= $(CURDIR)/.art
-test: $(INSTALLED)
-	-$(BIN)/astray art import
-	$(MAKE) --no-print-directory --jobs 2 tested check docs
+# All checks, the documentation, and all tests, with what needs no other at once.
+test:
+	$(MAKE) --no-print-directory --jobs 3 tested check docs
 
 # Three workers on two cores, as tests wait for pages and processes; a second thread in each would
 # wait for a core, and keep it busy. Each takes as long as thousands of small tests to begin with.
 # One begins with many tests in a row, so that most of what they share is made once. What Python has
 # parsed is kept, as tests start many processes.
+test tested quick thorough fuzz: export ASTRAY_ART ?= $(CURDIR)/.art
 test tested quick thorough fuzz: export OMP_NUM_THREADS ?= 1
 test tested quick thorough fuzz: export PYTHONDONTWRITEBYTECODE =
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
@@ -29,9 +28,18 @@ WORKERS = 3
 tested: compiled
 	$(PYTEST)
 
-# What tests run compiled, each game by one process, as others would wait for it.
-compiled: $(INSTALLED)
-	cd tests && ../$(BIN)/python -m helpers.compiled
+# What tests run compiled. Games need the core alone, so they compile while the rest is installed,
+# which for a moment takes the core's own place from Python's path.
+games: $(CORE)
+	cd tests && PYTHONPATH=../src ../$(BIN)/python -m helpers.compiled games
+
+compiled: games pictures
+	cd tests && ../$(BIN)/python -m helpers.compiled rest
+
+# The original's, for tests that compare images with them: fetched where the package index answers;
+# where it does not, these are skipped.
+pictures: $(INSTALLED)
+	-$(BIN)/astray art import
 
 # What `make test` leaves out: longer ways, and other cases, of what it does test.
 thorough: compiled
@@ -80,7 +88,7 @@ docs: $(INSTALLED)
 
 # Speed beside EnvPool (its Procgen needs Debian's libqt5gui5) and Stable-Baselines3.
 bench: $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt envpool
+	$(PIP) --constraint constraints.txt envpool
 	$(BIN)/astray bench environments
 	$(BIN)/astray bench train
 
@@ -119,11 +127,14 @@ notebooks: $(INSTALLED)
 		$(BIN)/python -m pytest -n 0 tests/examples/test_notebooks.py -k runs -m thorough --durations=0
 
 # Without compiling all of Python's files, which is nearly half of installing: few are imported.
-$(INSTALLED): pyproject.toml constraints.txt
+$(INSTALLED): $(CORE)
+	$(PIP) --no-compile --constraint constraints.txt --editable '.[train]' --group dev
+	touch $@
+
+$(CORE): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt \
-		--editable '.[train]' --group dev
+	$(PIP) --upgrade 'pip>=25.1'
+	$(PIP) --no-compile --constraint constraints.txt --editable .
 	touch $@
 
 clean:
