@@ -10,10 +10,12 @@ import re
 import signal
 import sys
 import threading
+import traceback
 import warnings
 from collections.abc import Collection, Iterator, Sequence
 from importlib.metadata import EntryPoint, distribution, distributions
 from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,9 @@ from astray.validation import brief, shown
 LOG = logging.getLogger("astray")
 LONG = 10.0  # seconds of an import before it is announced
 NAME = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
+OTHERS = re.compile(
+    rf"-packages|<frozen|lib.python3|{re.escape(str(Path(__file__).parent))}"
+)  # code
 
 
 class Terminated(KeyboardInterrupt):
@@ -106,7 +111,14 @@ def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
     except (KeyboardInterrupt, *passed):  # nothing tells one that the code raises from Ctrl+C
         raise
     except BaseException as error:
-        raise ValueError(f"{what} fails: {shown(error, 300)}") from error
+        raise ValueError(f"{what} fails: {shown(error, 300)}{_place(error)}") from error
+
+
+def _place(error: BaseException) -> str:
+    """Return the last line of a user's own code that an error passed, for a sentence's end."""
+    calls = [(f.f_code.co_filename, line) for f, line in traceback.walk_tb(error.__traceback__)]
+    theirs = [(name, line) for name, line in calls if not OTHERS.search(name)]
+    return f" ({Path(theirs[-1][0]).name}, line {theirs[-1][1]})" if theirs else ""
 
 
 @contextlib.contextmanager

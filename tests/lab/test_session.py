@@ -417,6 +417,22 @@ def test_a_function_remembers_in_the_lab_though_it_has_nothing_to_remember_at_fi
     assert ask(session, "play", **asked, actions=whole[:4], steps=2)["actions"] == whole
 
 
+class Raises:
+    """A policy of a user's own with an error in it."""
+
+    name, observation, art = "mine", "symbolic", "own"
+
+    def actions(self, turn):
+        raise KeyError("x")
+
+
+@pytest.mark.parametrize("kind", ["fields", "play"])
+def test_an_error_of_a_user_s_policy_is_told_with_its_name_and_line(kind):
+    session, line = Session(make_lab(Raises(), MAZE_STARTS)), Raises.actions.__code__.co_firstlineno
+    told = ask(session, kind, **MAZE | {"agent": "mine", "level": 0, "steps": 3})["error"]
+    assert told == f"the policy 'mine' fails: KeyError('x') (test_session.py, line {line + 1})"
+
+
 def test_walks_in_drawn_levels_are_not_mixed_up():
     session = Session(make_lab(Walk("cheese"), MAZE_STARTS))
     other = ROOM.replace("....G", ".....").replace("@....", "@...G")

@@ -383,7 +383,8 @@ class Opaque(_Asks):
     def actions(self, turn: Turn) -> Answer:
         if isinstance(drawn := self.policy, Random):
             drawn = replace(drawn, seed=drawn.seed + self.seed)
-        return drawn.actions(turn)
+        with guarded(f"the policy {self.name!r}", ValueError, ImportError):
+            return drawn.actions(turn)
 
     def chances(
         self, env: GameVectorEnv, observations: np.ndarray, asking: Asking | None = None
