@@ -80,6 +80,12 @@ def test_what_cannot_be_swept_is_told_before_anything_is_trained(given, message)
         Sweep(BASE, axes(given))
 
 
+@pytest.mark.parametrize("given", [{"width": 8}, {"variant": "apart"}, {3: [1]}, ["width"]])
+def test_axes_are_settings_with_several_values(given):
+    with pytest.raises(ValueError, match="^axes must be a "):
+        Sweep(BASE, given)
+
+
 def test_cells_are_all_combinations():
     cells = Sweep(BASE, TWO).cells()
     assert list(cells) == [(1e-4, 10), (1e-4, 20), (5e-4, 10), (5e-4, 20)]

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from astray.experiments.levels import check_tests
 from astray.experiments.spec import MOST_AGENTS, Plan, Test
 from astray.training.config import Config
 from astray.training.settings import KNOB, SEEDS, SHORT, make_plain
-from astray.validation import bounded, one_of, plain, read_value, shown
+from astray.validation import bounded, of_kind, one_of, plain, read_value, shown
 from astray.variant import knobs
 from astray.world import WorldVariant
 
@@ -39,6 +39,13 @@ class Sweep:
 
     def __post_init__(self) -> None:
         make_plain(self, "seeds", "levels")
+        of_kind("axes", self.axes, Mapping)
+        for name, values in self.axes.items():
+            if not isinstance(values, Iterable) or isinstance(values, str) or name != f"{name}":
+                given = shown({name: values})
+                raise ValueError(
+                    f'axes must be a setting and its values, "width": [8]; got {given}'
+                )
         axes = {name: [plain(one) for one in values] for name, values in self.axes.items()}
         object.__setattr__(self, "axes", axes)
         bounded("seeds", self.seeds, 1, SEEDS - self.base.seed)
