@@ -1,5 +1,6 @@
 """Intervals: what they are made of, and of groups of steps, that come in episodes."""
 
+import functools
 import itertools
 
 import numpy as np
@@ -212,6 +213,14 @@ def test_a_pooled_difference_is_the_same_from_either_side_also_of_a_single_agent
     if not rate:  # Student's quantile of the three: nothing tells how the single one varies
         spread = stats.t.ppf(0.975, 2) * kinds[1].mean(1).std(ddof=1) / 3**0.5
         assert ours.high - ours.mean >= spread
+
+
+@pytest.mark.parametrize("pool", [np.ones((2, 3, 4)), iter([np.ones((3, 4))]), 5, ["x"]])
+def test_a_pool_is_a_list_of_kinds_for_a_mean_and_a_difference_alike(pool):
+    values = np.eye(3, 4)
+    for estimate in (estimate_mean, functools.partial(estimate_difference, values)):
+        with pytest.raises(ValueError, match="pool must be "):
+            estimate(values, pool=pool)
 
 
 @pytest.mark.parametrize("single", [np.ones(9), np.ones((1, 9))])

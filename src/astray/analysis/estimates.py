@@ -89,6 +89,7 @@ def estimate_mean(
     rate = _is_rate(values) if rate is None else rate
     values = _numbers("values", values)
     weights = np.ones_like(values) if weights is None else _numbers("weights", weights)
+    pool = _kinds(pool)
     if weights.shape != values.shape or not ((weights >= 0) & (weights < np.inf)).all():
         raise ValueError(f"weights must be {values.shape} numbers, none below 0; got {weights}")
     if rate:
@@ -141,7 +142,7 @@ def estimate_difference(
     """
     rate = _is_rate(one) and _is_rate(other)
     one, other = kinds = [_numbers("values", kind) for kind in (one, other)]
-    levels = [values.shape[1] for values in kinds]
+    pool, levels = _kinds(pool), [values.shape[1] for values in kinds]
     if same_levels and levels[0] != levels[1]:
         raise ValueError(f"levels must be the same; got {levels[0]} and {levels[1]}")
     if same_levels and len(one) == len(other) == 1:
@@ -260,6 +261,12 @@ def _numbers(name: str, given: Any) -> np.ndarray:
     return array
 
 
+def _kinds(pool: Any) -> list[np.ndarray]:
+    """Return a pool's kinds as reals [agents, levels]; an array would be one, or several."""
+    of_kind("pool", pool, list | tuple)
+    return [_numbers("each kind in pool", kind) for kind in pool]
+
+
 def _is_rate(values: np.ndarray) -> bool:
     return np.asarray(values).dtype == bool
 
@@ -339,8 +346,7 @@ def _between_agents(
     if (agents := len(rest)) == 1:
         return 0.0, math.inf
     variance, freedom = _of_mean(rest.mean(1), fractions)
-    kinds = (np.atleast_2d(np.asarray(kind, float)) for kind in pool)
-    if several := [kind for kind in kinds if len(kind) > 1]:
+    if several := [kind for kind in pool if len(kind) > 1]:
         freedom = sum(len(kind) - 1 for kind in several)
         common = sum(
             (len(kind) - 1)
