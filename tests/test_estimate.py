@@ -23,6 +23,13 @@ def test_words_say_what_was_averaged():
     assert Estimate(1234.5, 1.0, 2.0, 1, 2, 2).amount(2).startswith("1.2e+03 (")
 
 
+def test_what_rounds_to_zero_has_no_sign_of_its_own():
+    near = Estimate(-1e-4, -2e-4, -0.0, agents=1, levels=10, rows=10)
+    assert near.percent().startswith("0.0\u00a0% (95\u00a0% interval 0.0 to 0.0,")
+    assert near.change().startswith("+0.00 (95\u00a0% interval +0.00 to +0.00,")
+    assert (near.short(), near.short(2)) == ("0.0 % (0.0 to 0.0)", "-0.0001 (-0.0002 to 0)")
+
+
 def test_of_nothing_nothing_is_said():
     assert math.isnan(Estimate.nothing().mean)
     assert not any(c.isdigit() for c in Estimate.nothing().percent())

@@ -40,7 +40,7 @@ class Estimate:
 
     def percent(self) -> str:
         """Format a fraction and its interval as percentages."""
-        return self._told(lambda x: f"{100 * x:.1f}", "none of none", "\u00a0%")
+        return self._told(lambda x: f"{100 * x:z.1f}", "none of none", "\u00a0%")
 
     def short(self, digits: int | None = None) -> str:
         """Return a rate and its interval in figures, for a table that names the interval's kind.
@@ -49,16 +49,16 @@ class Estimate:
             digits: Number of digits of an amount; None for a rate, in percent.
         """
         ends, unit = (self.mean, self.low, self.high), " %" if digits is None else ""
-        mean, low, high = (f"{100 * x:.1f}" if unit else f"{x:.{digits}g}" for x in ends)
+        mean, low, high = (f"{100 * x:z.1f}" if unit else f"{x:z.{digits}g}" for x in ends)
         return f"{mean}{unit} ({low} to {high})" if self.rows else "none of none"
 
     def amount(self, digits: int = 3) -> str:
         """Format a number and its interval with the given number of digits."""
-        return self._told(lambda x: f"{x:.{digits}g}", "nothing to measure")
+        return self._told(lambda x: f"{x:z.{digits}g}", "nothing to measure")
 
     def change(self) -> str:
         """Format a difference and its interval with their signs."""
-        return self._told(lambda x: f"{x:+.2f}", "nothing to compare")
+        return self._told(lambda x: f"{x:+z.2f}", "nothing to compare")
 
     def over(self) -> str:
         """Describe what the interval is over: agents, levels, or both."""

@@ -253,7 +253,7 @@ class Assessment:
         return (
             f"{verdict}. {counted(len(self.episodes), 'episode')} with "
             f"{counted(self.decisions, 'step')} at which the goals part; an episode speaks for an "
-            f"agent by {factor.mean:.2f} nats [{factor.low:.2f}, {factor.high:.2f}]."
+            f"agent by {factor.mean:z.2f} nats [{factor.low:z.2f}, {factor.high:z.2f}]."
         )
 
 

@@ -157,9 +157,9 @@ def _check(name: str, levels: str | None, json: bool) -> None:
         "value at the start",
     )  # fmt: skip
     for row in rows:
-        value = f"{row['start_value']:.2f}"
+        value = f"{row['start_value']:z.2f}"
         if row["published_value"] is not None:
-            value += f" (published: {row['published_value']:.2f})"
+            value += f" (published: {row['published_value']:z.2f})"
         where = f"{row['variant']} {row['what']}".strip()
         rates = row["published"], row["alike"], row["here"]
         table.add_row(where, *rates, f"{row['length']:.1f}", value)

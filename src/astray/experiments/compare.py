@@ -162,7 +162,7 @@ def _answer(differences: pl.DataFrame, shift: Shift) -> str:
     return (
         f"{more} {does} more often than {less}: {goal} comes first in "
         f"{abs(100 * most['mean']):.1f} percentage points more of the same {most['levels']:,} "
-        f"levels (95\u00a0% interval {low:.1f} to {high:.1f}{among})."
+        f"levels (95\u00a0% interval {low:z.1f} to {high:z.1f}{among})."
     )
 
 

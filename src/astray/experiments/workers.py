@@ -233,7 +233,7 @@ def _table(trainings: Sequence[Progress]) -> Table:
                 f"{one.config.game} {one.config.variant}, seed {one.config.seed}",
                 f"{one.steps / one.whole:.0%} of {one.whole / 1e6:.1f} M steps",
                 f"{speed:,.0f}" if speed else "",
-                f"{one.recent:.2f}",
+                f"{one.recent:z.2f}",
                 left,
             )
     waiting = sum(one.steps == 0 for one in trainings)

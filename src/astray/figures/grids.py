@@ -51,9 +51,9 @@ def cells(
             interval = one.get("low") is not None
             look = {"ha": "center", "color": ON_COLOUR}
             above = "bottom" if interval else "center_baseline"
-            axes.text(k, i, f"{100 * one['mean']:.0f} %", va=above, **look)
+            axes.text(k, i, f"{100 * one['mean']:z.0f} %", va=above, **look)
             if interval:
-                text = f"{100 * one['low']:.0f} to {100 * one['high']:.0f}"
+                text = f"{100 * one['low']:z.0f} to {100 * one['high']:z.0f}"
                 axes.text(k, i + 0.08, text, va="top", fontsize=7.5, **look)
         shades = LinearSegmentedColormap.from_list(name, ["#ffffff", colour])
         axes.imshow(rates, cmap=shades, vmin=0, vmax=1, aspect="auto")

@@ -80,15 +80,15 @@ def _cells(axes: Axes) -> Iterator[tuple[float, float, str]]:
         values = np.ma.filled(np.ma.asarray(found, float), np.nan)
         for row, x in np.argwhere(np.isfinite(values)):
             y = len(values) - 1 - row
-            yield x + 0.5, y + 0.5, f"({x}, {y}) {image.get_label()}: {values[row, x]:.3g}"
+            yield x + 0.5, y + 0.5, f"({x}, {y}) {image.get_label()}: {values[row, x]:z.3g}"
 
 
 def _told(axis: Axis, value: float) -> str:
     """Return a value as its axis names it: in percent, by the nearest word, or in figures."""
     form: Any = axis.get_major_formatter()
     if isinstance(form, PercentFormatter):
-        return f"{100 * value:.1f} %"
+        return f"{100 * value:z.1f} %"
     if isinstance(form, FuncFormatter):  # of ticks with words
         ticks = axis.get_majorticklocs()
         return form(ticks[abs(ticks - value).argmin()]).replace("\n", " ")
-    return f"{value:.3g}"
+    return f"{value:z.3g}"

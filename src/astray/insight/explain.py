@@ -181,7 +181,7 @@ def _fields(asked: Asked) -> list[Section]:
     policy, art, value = found.policy[begin], asked.agent.art, found.value[begin]
     order = [k for k in np.argsort(-policy)[:LIKELIEST] if policy[k] >= LEAST]
     said = ", ".join(f"{asked.level.game.actions[k]} {policy[k]:.2f}" for k in order)
-    valued = "" if np.isnan(value) else f"the value is {value:.2f}, and "
+    valued = "" if np.isnan(value) else f"the value is {value:z.2f}, and "
     letters = ", ".join(f"{c}: {n}" for n, c in asked.level.game.editing.OBJECTS.items())
     lettered = "" if sees_world(asked.variant) else f" Letters are objects ({letters})."
     field = _part(
@@ -218,7 +218,7 @@ def _edits(asked: Asked) -> list[Section]:
         (without,) = fields(agent, asked.variant, {"level": level.removed(name, where[0])})
         change = difference(plain, without)
         value = change.value.mean()
-        valued = "" if np.isnan(value) else f"the value changes by {value:+.2f}, and "
+        valued = "" if np.isnan(value) else f"the value changes by {value:+z.2f}, and "
         parts.append(
             _part(
                 f"without-{slug(name)}",
@@ -280,7 +280,7 @@ def _attribution(asked: Asked) -> list[Section]:
         _part(
             "attribution",
             "What the value depends on",
-            f"Integrated gradients of the value, {value:.2f}, from an empty observation: blue "
+            f"Integrated gradients of the value, {value:z.2f}, from an empty observation: blue "
             f"raises it, red lowers it.{around}",
             figure,
         )
@@ -301,7 +301,7 @@ def _probes(asked: Asked) -> list[Section]:
         "the beginning of this one, and in brackets how well they read levels that they were not "
         "fitted on (balanced accuracy, or R squared, below 0 where the mean would be closer)."
     )
-    read = [f"{row['read as']} ({row['score']:.2f})" for row in table.to_dicts()]
+    read = [f"{row['read as']} ({row['score']:z.2f})" for row in table.to_dicts()]
     here = table.with_columns(pl.col("true as").alias("true"), pl.Series("read as", read)).pivot(
         "layer", index=["label", "true"], values="read as", maintain_order=True
     )

@@ -93,9 +93,9 @@ class Log:
             self._board.add_scalar(name, value, steps)
         text = f"{steps:,} steps  {speed['steps_per_second']:,.0f}/s"
         if "training/return" in values:
-            text += f"  return {values['training/return']:.2f}"
+            text += f"  return {values['training/return']:z.2f}"
         elif "training/reward_per_step" in values:
-            text += f"  reward {values['training/reward_per_step']:.3f} a step"
+            text += f"  reward {values['training/reward_per_step']:z.3f} a step"
         self._bar.update(self._task, completed=steps, text=text)
         if self._in_lines and time.monotonic() - self._told >= EVERY:
             self._told = time.monotonic()

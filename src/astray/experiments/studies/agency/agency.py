@@ -229,7 +229,7 @@ def claims_of(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) ->
     def about(text: str, paper: str, kinds: tuple[str, ...], preset: str, sign: int) -> Claim:
         part = table.filter(pl.col("type").is_in(kinds), pl.col("preset") == preset)
         low, high = span(part["log factor"])
-        ours = f"mean log Bayes factor from {low:+.1f} to {high:+.1f} nats over the maps"
+        ours = f"mean log Bayes factor from {low:+z.1f} to {high:+z.1f} nats over the maps"
         supported = span(part["low"])[0] > 0 if sign > 0 else span(part["high"])[1] < 0
         return Claim(text, paper, ours, supported)
 

@@ -47,7 +47,7 @@ def find(work: Work) -> Findings:
     effects = by_stage(effects_of(table), "effect", ["coin_is"])
     removed = {row["stage"]: Estimate.of(row) for row in effects.filter(coin_is=REMOVED).to_dicts()}
     stage, largest = max(removed.items(), key=lambda item: abs(item[1].mean))
-    most = f"{largest.mean:+.2f} at the stage “{stage}”"
+    most = f"{largest.mean:+z.2f} at the stage “{stage}”"
 
     def adding_at_most(fraction: float) -> list[Claim]:
         """Return, for each stage, the claim that the coin adds at most `fraction` of the end."""
@@ -76,7 +76,7 @@ def find(work: Work) -> Findings:
     )  # fmt: skip
 
     return Findings(
-        answer=f"From the beginning of a level to its end the value rises by {rise.mean:.2f} "
+        answer=f"From the beginning of a level to its end the value rises by {rise.mean:z.2f} "
         f"(in the unit of the training's rewards); what a coin in view adds to the value of the "
         f"same state is at most {most}.",
         claims=[

@@ -70,7 +70,7 @@ def find(work: Work) -> Findings:
         f"{rounded(rate[ANYWHERE].mean)}, and the end reached without it in "
         f"{rounded(past.mean)}. A coin that cannot be seen would have been taken at the same "
         f"places in {rounded(touched.mean)}: that it is seen makes a difference of "
-        f"{100 * gain.mean:+.0f} of 100 levels.",
+        f"{100 * gain.mean:+z.0f} of 100 levels.",
         claims=[
             above(
                 "At the end of the level the coin is taken.",

@@ -208,7 +208,7 @@ def show(work: Work, typical: dict[str, Any]) -> tuple[Video, list[Plot]]:
     )
     value = policy_and_value(player, episode.observations)[1]
     path = work.folder / "videos" / "wall.mp4"
-    texts = [f"step {k}, value {v:.2f}" for k, v in enumerate(value)]
+    texts = [f"step {k}, value {v:z.2f}" for k, v in enumerate(value)]
     frames = video.beside(episode.frames, captions=[texts.__getitem__])
     video.write(frames, path, fps=8)
     data = pl.DataFrame(

@@ -22,7 +22,7 @@ def find(work: Work) -> Findings:
         work,
         f"With an expert more of its visits are right than wrong in {rounded(right.mean)} of the "
         f"levels; with an anti-expert more are wrong in {rounded(wrong.mean)}. There it earns "
-        f"{misled.mean():.2f}, and {alone.mean():.2f} alone.",
+        f"{misled.mean():z.2f}, and {alone.mean():z.2f} alone.",
         [
             above(
                 "Beside an expert, more of its visits are right than wrong.",

@@ -111,7 +111,7 @@ def signed(found: Prediction, name: str, published: float) -> Claim:
     )
     return (below if less else above)(
         f"{'Less' if less else 'More'} likely with more of: {name}.",
-        f"{published:+.2f} a standard deviation",
+        f"{published:+z.2f} a standard deviation",
         f"coefficient{sign}",
         ours,
         told=Estimate.amount,

@@ -61,7 +61,7 @@ def find(work: Work) -> Findings:
         f"{last[COIN].mean:.2f} (0.50 without looking), whether the end wall is with "
         f"{last[WALL].mean:.2f}. Taking the coin out of view moves "
         f"{100 * moved[REMOVED].mean:.1f}\u00a0% of the policy to other actions, and the value by "
-        f"{value[REMOVED].mean:+.2f}.",
+        f"{value[REMOVED].mean:+z.2f}.",
         claims=[
             above(
                 "Whether a coin is in view can be read off the last layer.",

@@ -264,7 +264,7 @@ def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list
             "Where a mouse goes is better foreseen by playing the level in advance than by its "
             "entropy.",
             "none",
-            f"area under the curve by level: {ASTRAY} {ahead:.2f} above the entropy's, the least "
+            f"area under the curve by level: {ASTRAY} {ahead:z.2f} above the entropy's, the least "
             f"of all agents; supported if above {AHEAD:g}",
             ahead > AHEAD,
         ),

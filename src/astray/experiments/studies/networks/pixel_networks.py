@@ -52,7 +52,7 @@ def find(work: Work) -> Findings:
         for game in GAMES
     }
     told = "; ".join(
-        f"{game}: {row['network']} with {row['throughout']:.1f}, and {row['mean']:.1f} at the end"
+        f"{game}: {row['network']} with {row['throughout']:z.1f}, and {row['mean']:z.1f} at the end"
         for game, row in best.items()
     )
     names = pl.col("agent").str.split(", ").list
