@@ -240,6 +240,13 @@ def test_a_splay_counts_goals_that_only_the_end_of_an_episode_shows(session):
     assert told["outcomes"] == [{"more hiding": 1}]
 
 
+def test_a_splay_of_episodes_without_an_end_says_what_can_be_done_in_the_lab(session):
+    asked = MAZE | {"knobs": {"time_limit": 10**9}, "level": ROOM, "thing": "goal"}
+    told = ask(session, "splay", **asked)["error"]
+    assert told.startswith("a splay plays whole episodes, and here one lasts up to 1,000,000,000")
+    assert "hand over to the agent" in told and "--set" not in told
+
+
 @pytest.mark.parametrize("game", ["maze", "keys", "coinrun"])
 def test_a_level_that_a_page_moved_the_agent_in_is_one(session, game):
     variant = {"maze": "anywhere-small", "keys": "many-keys-small", "coinrun": "coin-end"}[game]

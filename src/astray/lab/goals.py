@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from astray.acting import Levels, Policy, initial_states
+from astray.acting import LASTING, Levels, Policy, initial_states
 from astray.agency import measure
 from astray.agency.gridworld import World as Gridworld
 from astray.agency.measure import CALIBRATED
@@ -158,9 +158,12 @@ def splay(
     Goals that only the end of an episode shows are counted there.
 
     Values are numbers of episodes out of `draws`, which differ in the sampled actions. ValueError
-    is raised if there are too many places.
+    is raised if there are too many places, or episodes may last for ever.
     """
     levels = world.level.splay(thing, at)
+    if (lasts := world.variant.time_limit) > LASTING:
+        told = f"a splay plays whole episodes, and here one lasts up to {lasts:,} steps"
+        raise ValueError(f"{told}: hand over to the agent in this level, or choose another variant")
     if len(levels) > PLACES:
         raise ValueError(f"a splay is of at most {PLACES} places; here are {len(levels)}")
     first, of = agent.seed, len(levels)
