@@ -440,6 +440,11 @@ def test_an_error_of_a_user_s_policy_is_told_with_its_name_and_line(kind):
     assert told == f"the policy 'mine' fails: KeyError('x') (test_session.py, line {line + 1})"
 
 
+def test_a_walk_to_what_the_game_lacks_is_refused_before_a_lab_begins():
+    with pytest.raises(ValueError, match="unknown goal 'moon' of maze; there are: cheese"):
+        make_lab(Walk("moon"), MAZE_STARTS)
+
+
 def test_walks_in_drawn_levels_are_not_mixed_up():
     session = Session(make_lab(Walk("cheese"), MAZE_STARTS))
     other = ROOM.replace("....G", ".....").replace("@....", "@...G")

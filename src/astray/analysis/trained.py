@@ -20,7 +20,7 @@ from astray.acting import Answer, Asking, Policy, Turn
 from astray.agents import policy
 from astray.agents.names import is_own
 from astray.agents.recurrent import Recurrent
-from astray.analysis.policies import Random, episode_noise
+from astray.analysis.policies import Random, Walk, episode_noise
 from astray.envs.restarting import action_table, as_seen
 from astray.envs.vector import GameVectorEnv, Observation
 from astray.envs.worlds import WorldVectorEnv
@@ -407,6 +407,8 @@ class Opaque(_Asks):
 
 def looked_into(policy: Policy, game: Game) -> Agent | Network | Opaque:
     """Return a policy in the form that analyses take: its network, or `Opaque` without one."""
+    if isinstance(policy, Walk):
+        one_of("goal", policy.goal, game.walked, of=game.name)
     found = getattr(policy, "network", None) if not isinstance(policy, Agent | Network) else policy
     if isinstance(found, Network):
         if (found.observation, found.space) == ("image", COLOURS_FIRST):  # behind a wrapper
