@@ -11,11 +11,12 @@ import numpy as np
 
 from astray.game import Game, Variant
 from astray.record import NEVER, is_trusted
-from astray.validation import brief, check_cell, of_kind, one_of, shown
+from astray.validation import bounded, brief, check_cell, of_kind, one_of, shown
 
 AGENT, EMPTY = "@", "."  # in the drawings of all games
 ON = f"{AGENT} on "  # prefix of the line below a drawing with what the agent stands on
 BYTE_ORDER_MARK = "\ufeff"  # some editors put it at the start of a file
+LARGEST = 2**20  # cells of a level, or characters of a drawing; CoinRun's levels have 4,096 cells
 CLOSE = 1e-5  # cells; the rounding of a 32-bit position
 Cell = tuple[int, int]  # x to the right, y upward, from the lower left
 
@@ -95,6 +96,7 @@ class Level:
             ValueError: If the drawing is not a level; the message names the row.
         """
         of_kind("a level's drawing", drawing, str)
+        bounded("the number of a drawing's characters", len(drawing), 0, LARGEST)
         drawing = drawing.removeprefix(BYTE_ORDER_MARK)
         rows = textwrap.dedent(drawing).strip("\n").rstrip().splitlines()[::-1]
         beneath = rows.pop(0)[len(ON) :] if rows and rows[0].startswith(ON) else EMPTY
@@ -136,6 +138,7 @@ class Level:
         wide = isinstance(rows, list) and {len(r) if isinstance(r, list) else -1 for r in rows}
         if not wide or len(wide) != 1 or wide <= {-1, 0}:
             raise ValueError("a level's grid is a list of equally long lists of codes")
+        bounded("the number of a level's cells", len(rows) * max(wide), 1, LARGEST)
         codes = sorted(set(game.editing.LEGEND.values()))
         for y, row in enumerate(rows):
             for x, code in enumerate(row):

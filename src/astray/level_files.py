@@ -4,6 +4,7 @@ import codecs
 import itertools
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -92,8 +93,8 @@ def _json_values(text: str) -> list[Any]:
     return found
 
 
-def _drawings(text: str) -> list[str]:
+def _drawings(text: str) -> Iterator[str]:
     """Split `text` at empty lines and leave out comments."""
     lines = [line for line in text.splitlines() if not line.lstrip().startswith(COMMENT)]
     groups = itertools.groupby(lines, key=lambda line: bool(line.strip()))
-    return ["\n".join(group) for drawn, group in groups if drawn]
+    return ("\n".join(group) for drawn, group in groups if drawn)

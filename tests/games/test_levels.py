@@ -250,6 +250,16 @@ def test_bad_data_is_explained(change, message, first_levels):
             Level.from_json(level.game, level.variant, level.to_json() | change)
 
 
+def test_a_level_that_is_far_too_large_is_refused_before_its_cells_are_read():
+    maze, side = games.find("maze"), 1025
+    for read, given in (
+        (Level.from_text, ("?" * side + "\n") * side),  # a row with a mistake, which would be told
+        (Level.from_json, {"grid": [["?"] * side] * side, "agent": [0.5, 0.5]}),
+    ):
+        with pytest.raises(ValueError, match=r"an integer from \d to 1048576; got 105\d"):
+            read(maze, maze.variant("anywhere"), given)
+
+
 @pytest.mark.parametrize("look", [[[1, 1, {}]], {"a": [[]]}, [[10**400]], [[0.5, 0.5]] * 9_999])
 def test_a_look_of_any_other_kind_is_told_in_one_error(look, first_levels):
     for level in first_levels:
