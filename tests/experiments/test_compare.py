@@ -54,6 +54,14 @@ def test_a_mode_is_of_the_agents_and_not_of_policies_beside_them(astray, tmp_pat
     assert "has no mode 'greedy'" in told
 
 
+def test_a_page_without_room_is_told_before_the_agents_are_played(tmp_path, full_disk, monkeypatch):
+    monkeypatch.setattr(comparison, "evaluate_policies", lambda *_, **__: pytest.fail("played"))
+    full_disk(100_000)
+    with pytest.raises(OSError, match="large; nothing was written"):
+        compare([Walk("cheese"), Random()], "maze", "corner-small", range(9), tmp_path / "page")
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_own_policy_of_the_name_of_a_script_is_not_taken_for_it(tmp_path):
     own = Function(lambda seen: np.full(len(seen), 7), "random")
     with pytest.raises(ValueError, match="policies must have names of their own"):

@@ -210,6 +210,18 @@ def test_the_agent_is_said_to_be_in_the_middle_only_where_it_is():
     assert "in the middle of what it sees" not in str(section)
 
 
+def test_a_page_without_room_is_told_before_anything_is_found_out(tmp_path, full_disk, monkeypatch):
+    monkeypatch.setattr(explain, "_fields", lambda *_: pytest.fail("asked"))
+    agent, game = load_agent("maze-corner"), games.find("maze")
+    variant = game.variant("corner-small")
+    level = Level.of(game, variant, initial_states(game, variant, [0])[0])
+    asked = explain.Asked(agent, variant, level, "corner-small", (), np.arange(3))
+    full_disk(100_000)
+    with pytest.raises(OSError, match="large; nothing was written"):
+        explain.explain(asked, tmp_path / "page", "a title")
+    assert not list(tmp_path.iterdir())
+
+
 def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, coarse, monkeypatch):
     monkeypatch.setattr(explain, "PLACES", 8)
     for module in (explain, field_figures):

@@ -23,7 +23,7 @@ from astray.estimate import Estimate
 from astray.experiments.outcomes import STREAMS, curve_plot, table_of
 from astray.experiments.videos import repeats
 from astray.figures import charts
-from astray.files import check_free, files_aside
+from astray.files import check_free, check_writable, files_aside
 from astray.game import Game, Shift, Variant
 from astray.report.claims import holm, nonzero
 from astray.report.findings import Code, Item, Plot, Section, Table, Video
@@ -66,13 +66,14 @@ def compare(
 
     Raises:
         ValueError: If there are fewer or more policies, two of one name, or a World of streams.
-        OSError: If the folder has files of these names that astray did not write.
+        OSError: If the folder has files of these names that astray did not write, or no room.
     """
     of_kind("policies", policies, Sequence)
     names = names_of(policies)
     if not 2 <= len(names) <= MOST or len({*names}) < len(names):
         raise ValueError(f"compare takes 2 to {MOST} agents of different names; got {names}")
     check_free(folder := path_of("folder", folder), PAGE, SIGN, ("figures", "videos"))
+    check_writable(folder / PAGE)
     between, rules = load_shift(game, shift), world.find(game)
     where: Any = variant or between.test
     if isinstance(rules, World) and not rules.repeats:

@@ -20,7 +20,7 @@ from astray.analysis.tables import write_table
 from astray.analysis.trained import Model, Opaque, check_network
 from astray.envs.pictures import picture
 from astray.figures.grids import FADED, SIGNS, Picture, images
-from astray.files import check_free, files_aside
+from astray.files import check_free, check_writable, files_aside
 from astray.game import Game, Shift, Variant
 from astray.insight import attribution, episode, field_figures, probes
 from astray.insight.activations import layers
@@ -93,7 +93,7 @@ def explain(asked: Asked, folder: str | Path, heading: str, progress: bool = Fal
         progress: Name each part on standard error before it is computed.
 
     Raises:
-        OSError: If the folder has files of these names that astray did not write.
+        OSError: If the folder has files of these names that astray did not write, or no room.
     """
     makers: Mapping[str, Callable[[Asked], list[Section]]] = {
         "Where it would go": _fields,
@@ -104,6 +104,7 @@ def explain(asked: Asked, folder: str | Path, heading: str, progress: bool = Fal
         "Its episode": _episode,
     }
     check_free(folder := path_of("folder", folder), PAGE, SIGN, written(asked.level.game))
+    check_writable(folder / PAGE)
     parts: list[Section] = []
     for number, (title, make) in enumerate(makers.items(), 1):
         if progress:
