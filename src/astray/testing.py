@@ -284,7 +284,7 @@ def check_mutation(game: Game, variant: Variant) -> None:
 def check_solver(game: Game, variant: Variant) -> None:
     """Check that experts obtain the solver's optimal return, and never more.
 
-    They end in cells that the agent can reach.
+    They end in cells that the agent can reach, and get a single reward as soon as is possible.
     """
     if not game.solver:
         return
@@ -295,12 +295,13 @@ def check_solver(game: Game, variant: Variant) -> None:
         if not worth:
             continue
         walk, s = Walk(goal, observations(game)[-1]["observation"]), begun
-        total = discounted = 0.0
+        total, discounted, times = 0.0, 0.0, 0
         longest = min(variant.time_limit, LASTING)  # a life without end ends with its goal
         until = [game.event(goal)]
         for step in steps(walk, game, variant, [level], until=until, longest=longest):
             (s,), (reward,) = step.after, step.rewards
             total, discounted = total + reward, discounted + reward * 0.9 ** (s.time - 1)
+            times += reward != 0
         if game.places:
             free, now = game.solver.reachable(begun), np.array([s], game.state)
             ((x, y),) = np.floor(game.places.centre(now)).astype(int)
@@ -310,6 +311,8 @@ def check_solver(game: Game, variant: Variant) -> None:
         if goal in rewarded:
             assert abs(total - worth) < 1e-9, f"level {level}: {total} instead of {worth}"
             assert discounted <= soon + 1e-9, f"level {level}: sooner than is possible"
+            late = f"level {level}: it takes {s.time} steps to {goal}, more than are needed"
+            assert times > 1 or discounted >= soon - 1e-9, late
 
 
 def check_places(game: Game, variant: Variant) -> None:

@@ -272,6 +272,17 @@ def nowhere():
     return replace(GAME, solver=SimpleNamespace(**own, reachable=lambda s: none))
 
 
+def waiting():
+    """Maze, whose expert stands still for a step before it walks the shortest way."""
+
+    def expert(s, goal):
+        walk = GAME.solver.expert(s, goal)
+        return lambda s: walk(s) if s.time else GAME.actions.index("stay")
+
+    own = {name: getattr(GAME.solver, name) for name in ("reachable", "optimal_return")}
+    return replace(GAME, solver=SimpleNamespace(**own, expert=expert))
+
+
 def mutated(change):
     def mutate(*args):
         made = GAME.mutation.mutate(*args)
@@ -287,6 +298,7 @@ def mutated(change):
         (testing.check_editing, edited(build=builds_another), "lose .faces_right. of level 0"),
         (testing.check_editing, edited(OBJECTS={"fly": "Z"}), "the legend lacks Z"),
         (testing.check_solver, nowhere(), "is not reachable"),
+        (testing.check_solver, waiting(), r"it takes \d+ steps to cheese, more than are needed"),
         (testing.check_mutation, mutated(lambda made: made["level"].fill(3)), r"\[3 3 3 3 3\]"),
         (
             testing.check_mutation,
