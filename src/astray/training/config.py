@@ -274,7 +274,8 @@ class Config:
         for variant, shift in itertools.product((self.variant, self.validation), shifts):
             if variant in (shift.train, shift.test):
                 return shift.intended
-        known = ", ".join(dict.fromkeys(shift.train for shift in shifts)) or f"none in {game.name}"
+        none = f"none in {game.name}" + ", whose goals no event shows" * bool(game.shifts)
+        known = ", ".join(dict.fromkeys(shift.train for shift in shifts)) or none
         raise ValueError(
             "score 'regret' and a solver as teacher need a variant of a shift, which names the "
             f"goal; got {self.variant!r}, and there are: {known}"
