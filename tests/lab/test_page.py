@@ -365,6 +365,7 @@ def test_a_way_is_drawn_below_the_agent(page):
     look = """async (cells) => {
       lab.way = cells && { cells };
       lab.stage.redraw();
+    wait(page, "lab.part('verdict').textContent.startsWith('After 1 step, if')")
       for (let k = 0; k < 2; k++) await new Promise(requestAnimationFrame);
       const { canvas, state: { x, y }, frame: { rows }, scale } = lab.stage;
       const copy = new OffscreenCanvas(canvas.width, canvas.height)

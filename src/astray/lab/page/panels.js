@@ -6,7 +6,7 @@ import { meanWay, rateOfWays } from "./draw/arrows.js";
 import { drawSight } from "./draw/sight.js";
 import { save } from "./files.js";
 import { cellsOf, plain, shiftOf } from "./level.js";
-import { bar, capital, fillTable, keyed, made, named, options, percent, round } from "./parts.js";
+import { bar, capital, counted, fillTable, keyed, made, named, options, percent, round, rounded } from "./parts.js";
 import { levels } from "./rules/constants.js";
 import { showTimeline } from "./timeline.js";
 
@@ -296,7 +296,7 @@ export class Panels {
     const rates = Object.entries(rateOfWays(found.policy, ways)).sort((a, b) => b[1] - a[1]);
     const told = rates.filter(([, rate]) => rate >= 0.01).slice(0, 4)
       .map(([way, rate]) => `${NAMES[way]} ${percent(rate)}`);
-    const value = found.value === null ? "no value" : `value ${found.value.toFixed(2)}`;
+    const value = found.value === null ? "no value" : `value ${rounded(found.value)}`;
     line.textContent = `(${cell.join(", ")}) ${value}; ${told.join(", ")}`;
   }
 
@@ -307,7 +307,7 @@ export class Panels {
     const stops = Array.from({ length: 9 }, (_, k) => (layer.signed ? signed(k / 4 - 1) : heat(k / 8)));
     const style = `background: linear-gradient(to right, ${stops.join(", ")})`;
     const ramp = made("span", { className: "ramp", style });
-    const told = (amount) => (layer.percent ? percent(amount) : amount.toFixed(2));
+    const told = (amount) => (layer.percent ? percent(amount) : rounded(amount));
     box.replaceChildren(`${layer.name}: ${told(layer.low)}`, ramp, told(layer.high));
   }
 
@@ -413,7 +413,7 @@ export class Panels {
     const told = Object.entries(found.goals).map(([name, row]) => `${name} ${percent(row[now])}`);
     const many = found.goals[words.OTHER]?.[now] > 0.5 ? " One way fits many cells: compare the goals that have names." : "";
     const agent = found.agent ? ` The probability that it pursues any goal is ${percent(found.agent[now])}.` : "";
-    part("verdict").textContent = `After ${now} steps, if it pursues a goal: ${told.join(", ")}.${many}${agent}`;
+    part("verdict").textContent = `After ${counted(now, "step")}, if it pursues a goal: ${told.join(", ")}.${many}${agent}`;
     const names = Object.keys(found.goals).map((name) => [colours[name], named(lab, name)]);
     part("key").replaceChildren(...names.map(([colour, name]) => keyed(colour, name)),
       ...(found.agent ? [keyed(null, "an agent at all")] : []));
@@ -430,7 +430,7 @@ export class Panels {
     const draws = total === places ? "" : `, ${total} episodes`;
     const pursued = [this.shift?.intended, ...(this.shift?.proxies ?? [])];
     const early = (goal) => goal in lab.rules.goals; // others are known at the end
-    const told = `${places} of ${of} places${draws}. A mark shows ${pursued.every(early) ? "where it goes first" : "how it ends"}.`;
+    const told = `${places} of ${counted(of, "place")}${draws}. A mark shows ${pursued.every(early) ? "where it goes first" : "how it ends"}.`;
     const line = made("p", { className: "soft", textContent: told });
     const order = [...pursued, words.NEITHER].filter((g) => g in counts);
     part("counts").replaceChildren(line, ...order.map((goal) =>
@@ -453,8 +453,8 @@ export class Panels {
     const { way } = lab;
     part("unroute").hidden = !way;
     part("taking").textContent = !way ? "" : way.takes
-      ? `It takes what is at (${way.takes[0].slice(0, 2).join(", ")}) first, after ${way.steps} steps.`
-      : `${way.cells.length - 1} steps; it takes nothing.`;
+      ? `It takes what is at (${way.takes[0].slice(0, 2).join(", ")}) first, after ${counted(way.steps, "step")}.`
+      : `${counted(way.cells.length - 1, "step")}; it takes nothing.`;
   }
 
   unread() {
@@ -466,7 +466,7 @@ export class Panels {
     const table = this.part("readings");
     table.hidden = false;
     fillTable(table, ["label", "read", "true", "score in other states"], rows.map((row) =>
-      [row.label, row["read as"], row["true as"], row.score.toFixed(2)]));
+      [row.label, row["read as"], row["true as"], rounded(row.score)]));
     table.title = `Probes fitted in ${states} states of its own episodes.`;
   }
 

@@ -2,6 +2,8 @@
 
 export const percent = (rate) => `${Math.round(100 * rate)}\u00a0%`;
 
+export const counted = (count, thing) => `${count} ${thing}${count === 1 ? "" : "s"}`;
+
 // An element with its properties, and what is in it.
 export function made(kind, properties, ...inner) {
   const element = Object.assign(document.createElement(kind), properties);
@@ -45,5 +47,8 @@ export function fillTable(table, head, rows) {
   const line = (cells, kind) => made("tr", {}, ...cells.map((text) => made(kind, {}, text)));
   table.replaceChildren(line(head, "th"), ...rows.map((cells) => line(cells, "td")));
 }
+
+// A number with so many digits after the point; one that rounds to zero has no sign.
+export const rounded = (number, digits = 2) => (Number(number.toFixed(digits)) + 0).toFixed(digits);
 
 export const round = (number) => Number(number.toFixed(3));

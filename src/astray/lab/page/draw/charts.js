@@ -1,6 +1,7 @@
 // Curves of an episode: fractions of goals that add up to 1, and values with advantages and events.
 
 import { rewards as clipped } from "../rules/constants.js";
+import { rounded } from "../parts.js";
 import { themed } from "./colours.js";
 
 const EDGE = 8; // pixels around a chart
@@ -92,7 +93,7 @@ export function drawTimeline(canvas, { value, advantage, events, last }, now) {
   const [ink, soft, line, good, bad] = names.map((name) => themed(canvas, name));
   const [low, high] = [Math.min(0, ...value), Math.max(1e-6, ...value)];
   const down = (v) => 22 + (1 - (v - low) / (high - low || 1)) * 78;
-  axis(paint, [[low, low.toFixed(1)], [high, high.toFixed(1)]], down, soft, line, width);
+  axis(paint, [[low, rounded(low, 1)], [high, rounded(high, 1)]], down, soft, line, width);
   stroke(paint, value.map((v, t) => [across(t), down(v)]), ink, 1.6);
   const most = Math.max(1e-6, ...advantage.map(Math.abs));
   const [middle, reach] = [128, 22];
