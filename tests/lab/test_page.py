@@ -131,6 +131,43 @@ def test_a_level_is_edited_by_the_keyboard_alone(page):
     wait(page, "lab.level.grid[5][4] === 2 && lab.level.grid[5][5] === 0")
 
 
+def test_a_drawn_level_is_kept_in_another_variant_or_it_is_told_why_not(page):
+    page.locator("[data-lab=agent]").select_option("none maze")
+    wait(page, "!lab.agent && !lab.fields.size")
+    assert page.evaluate("(level) => lab.open(level)", ROOM)
+    page.locator("[data-lab=variant]").select_option("corner-small")
+    wait(page, "lab.opened === 'corner-small'")
+    assert page.evaluate("[lab.number, lab.level.grid[5][5]]") == [None, 2]
+    page.locator("[data-lab=variant]").select_option("anywhere")
+    wait(page, "lab.opened === 'anywhere' && lab.number === 0")
+    assert "the level is 7 x 7 cells" in page.locator("[data-lab=problem]").text_content()
+
+
+def test_an_edit_while_another_variant_is_opened_lands_in_no_other_level(page):
+    show(page, ROOM)
+    page.evaluate(
+        """async () => {
+          const edit = (x) => lab.edit({ ...lab.level, agent: [x, 1.5] });
+          const [choice, edited] = [lab.part("variant"), edit(2.5)];
+          choice.value = "corner-small";
+          choice.dispatchEvent(new Event("change"));
+          await Promise.all([edited, edit(3.5)]);
+        }"""
+    )
+    wait(page, "lab.opened === 'corner-small' && lab.fields.size")
+    page.wait_for_timeout(300)
+    kept = page.evaluate("[lab.level.agent, lab.original.level.agent, lab.past.length]")
+    assert kept == [[2.5, 1.5], [2.5, 1.5], 0], "the edit before is kept, and none came later"
+
+
+def test_the_agent_is_dragged_from_where_it_is_amid_an_episode(page):
+    show(page, ROOM)
+    page.evaluate("lab.act('right')")
+    wait(page, "lab.now === 1 && lab.fields.size")
+    drag(page, (2, 1), (4, 1))
+    wait(page, "lab.now === 0 && lab.level.agent[0] === 4.5")
+
+
 def test_a_key_is_let_go_whether_or_not_shift_is_still_held(page):
     """A letter pressed with Shift or Caps Lock stayed pressed: later keys played diagonals."""
     show(page, ROOM)
@@ -328,6 +365,7 @@ def test_a_way_and_what_was_wrong_go_with_their_state(page):
     wait(page, "lab.way")
     page.keyboard.press("n")
     wait(page, "lab.now === 1 && !lab.way && lab.part('unroute').hidden")
+    wait(page, "lab.part('verdict').textContent.startsWith('After 1 step, if')")
     page.evaluate("lab.panels.problem('the episode has ended')")
     page.keyboard.press(",")
     wait(page, "lab.now === 0 && lab.part('problem').hidden")
@@ -365,7 +403,6 @@ def test_a_way_is_drawn_below_the_agent(page):
     look = """async (cells) => {
       lab.way = cells && { cells };
       lab.stage.redraw();
-    wait(page, "lab.part('verdict').textContent.startsWith('After 1 step, if')")
       for (let k = 0; k < 2; k++) await new Promise(requestAnimationFrame);
       const { canvas, state: { x, y }, frame: { rows }, scale } = lab.stage;
       const copy = new OffscreenCanvas(canvas.width, canvas.height)

@@ -150,6 +150,7 @@ export class Lab {
     }
     this.#take({ ...told, problem: [wrong, artless, told.problem].filter(Boolean).join(" ") });
     this.original = { level: told.level, number: told.number };
+    this.opened = this.variant;
     Object.assign(this, { past: [], future: [] });
     this.editor.leave();
     this.panels.level();
@@ -190,14 +191,15 @@ export class Lab {
   }
 
   async #change(level, number) {
-    if (level.game !== this.game) return; // another is on its way
+    const leaves = () => level.game !== this.game || this.opened !== this.variant;
+    if (leaves()) return; // another is on its way
     Object.assign(this, { level, number });
     this.stage.redraw();
     this.panels.edited();
     const mine = (this.changing = Symbol("change"));
     try {
       const told = await this.engine.ask(this.question("level"));
-      if (!told || this.changing !== mine) return;
+      if (!told || this.changing !== mine || leaves()) return;
       this.#take(told);
       await this.refresh();
     } catch (error) {

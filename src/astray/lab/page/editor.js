@@ -70,9 +70,11 @@ export class Editor {
   }
 
   #lift(cell) {
-    const name = this.what(cell);
-    if (!name || name === "wall") return;
     const [x, y] = cell;
+    const { now, stage } = this.lab;
+    const shown = now && (stage.state.agent ?? [stage.state.x, stage.state.y]).map(Math.floor);
+    const name = String(shown) === String(cell) ? "agent" : this.what(cell); // where it is by now
+    if (!name || name === "wall") return;
     this.held = { name, code: this.lab.level.grid[y][x], at: cell, first: true };
     this.lab.part("world").classList.add("grabbing");
   }

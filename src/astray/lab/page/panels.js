@@ -188,7 +188,7 @@ export class Panels {
     const { lab } = this;
     lab.variant = variant;
     this.choices();
-    await lab.open(this.#number());
+    await lab.open(lab.number ?? plain(lab.level), ""); // which keeps a drawn one if it can
   }
 
   #number() {
