@@ -53,6 +53,7 @@ def play(game: Game, variant: Variant, level: int | Level | None = None, art: st
                     running &= event.key != pygame.K_ESCAPE
                     if event.key == pygame.K_n:
                         current = 0 if isinstance(current, Level) else current + 1
+                        current %= LEVELS.stop
                     restart |= event.key in (pygame.K_n, pygame.K_r)
             action = _action(env, pygame.key.get_pressed(), pygame)
             if action is None and env.game.real_time and env.states[0].time > 0:
