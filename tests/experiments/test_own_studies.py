@@ -39,6 +39,18 @@ def test_studies_whose_names_differ_in_case_alone_are_refused(tmp_path, monkeypa
     assert catalogue.find("mine_alike:LATE")[0] == "third"
 
 
+def test_two_files_of_one_name_are_not_reproduced_into_one_report(tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "reproduce", lambda *_, **__: pytest.fail("reproduced"))
+    paths = [tmp_path / name / "mine_twice.py" for name in ("here", "there")]
+    for path in paths:
+        path.parent.mkdir()
+        path.write_text(
+            "from astray.experiments.catalogue import load\nEXPERIMENT = load('maze-corner')"
+        )
+    with pytest.raises(ValueError, match="two of these would share the report 'mine-twice'"):
+        run.reproduce_each([str(path) for path in paths], "smoke", tmp_path / "reports")
+
+
 def noted(plan, folder):
     text, digest = run.inputs(plan, {}, catalogue.load("maze-corner"))
     run.note(text, digest, folder)

@@ -275,7 +275,12 @@ def reproduce_each(names: Sequence[str], size: Size, root: Path, **how: Any) -> 
     for name in names:
         there = catalogue.NAMES if name == ALL else ()
         chosen += [n for n in there if size in catalogue.load(n).sizes] or [name]
-    plans, undrawn = [sized(name, size)[1].sizes[size] for name in chosen], []
+    chosen = [*dict.fromkeys(chosen)]
+    found = [sized(name, size) for name in chosen]
+    called = [name for name, _ in found]
+    if twice := {name for name in called if called.count(name) > 1}:
+        raise ValueError(f"two of these would share the report {min(twice)!r}; rename a file")
+    plans, undrawn = [whole.sizes[size] for _, whole in found], []
     for plan in plans:
         try:
             plan.drawn_with(how.get("art", OWN))
