@@ -247,7 +247,7 @@ def test_a_file_in_the_place_of_a_checkpoint_is_told_before_the_training(begun):
     assert (begun / "checkpoints" / f"{TINY.steps}").read_text() == "mine"
 
 
-def test_metrics_that_are_cut_short_are_told_before_a_report(begun):
+def test_metrics_that_are_cut_short_or_gone_are_told_before_a_report(begun, caplog):
     train(TINY, begun, progress=False)
     lines = (begun / "metrics.jsonl").read_text().splitlines(keepends=True)
     assert checkpoint.finished(begun, TINY)
@@ -255,6 +255,8 @@ def test_metrics_that_are_cut_short_are_told_before_a_report(begun):
         (begun / "metrics.jsonl").write_text(left)
         with pytest.raises(ValueError, match=r"ends at step .*the last checkpoint is of step 192"):
             checkpoint.finished(begun, TINY)
+    (begun / "metrics.jsonl").unlink()
+    assert checkpoint.finished(begun, TINY) and "metrics.jsonl is missing" in caplog.text
 
 
 def test_a_training_does_not_go_on_behind_a_gap_in_its_metrics(begun):

@@ -191,8 +191,13 @@ def finished(folder: Path, config: Config) -> bool:
 
 
 def _check_metrics(folder: Path, steps: int) -> None:
-    """Raise ValueError if metrics.jsonl ends before the last checkpoint: its lines come first."""
-    if (path := folder / METRICS).exists():
+    """Raise ValueError if metrics.jsonl ends before the last checkpoint: its lines come first.
+
+    Log a warning if it was deleted.
+    """
+    if not (path := folder / METRICS).exists():
+        LOG.warning("%s is missing: this training has no curve up to step %d", path, steps)
+    else:
         last = max((line["steps"] for line in metrics(folder)), default=0)
         if last < steps:
             raise ValueError(
