@@ -93,6 +93,16 @@ def test_imports_within_functions_count_without_being_imported(tmp_path, monkeyp
     assert set(provenance.sources(one) or {}) == {"lazy_one", "pack.deep"}
 
 
+def test_modules_that_a_star_brings_count(tmp_path, monkeypatch):
+    (tmp_path / "sky").mkdir()
+    (tmp_path / "sky" / "__init__.py").write_text("__all__ = ['star', 'MOON']\nMOON = 1\n")
+    (tmp_path / "sky" / "star.py").write_text("LIGHT = 1\n")
+    (tmp_path / "gazes.py").write_text("from sky import *\ndef one():\n    return star.LIGHT\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    one = importlib.import_module("gazes").one
+    assert set(provenance.sources(one) or {}) == {"gazes", "sky", "sky.star"}
+
+
 def test_a_package_of_an_imported_module_and_a_module_named_as_pythons_count(tmp_path, monkeypatch):
     (tmp_path / "pack_of_one").mkdir()
     for name, text in {

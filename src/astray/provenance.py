@@ -226,6 +226,9 @@ def _imported(source: bytes, name: str, spec: ModuleSpec) -> Iterator[tuple[str,
                 continue
         if itself and not f"{module}.".startswith(f"{ITSELF}."):
             continue
+        if attribute == "*":  # imports the submodules that a package lists, too
+            listed = (f"{module}.{x}" for x in getattr(sys.modules.get(module), "__all__", ()))
+            yield from ((one, found) for one in listed if (found := _place(one)))
         for one in (f"{module}.{attribute}", module):
             if found := _place(one):
                 yield one, found
