@@ -267,6 +267,17 @@ def test_an_intervention_changes_the_arrows_of_its_question_alone(session):
     assert ask(session, "fields", **MAZE, level=ROOM)["policy"] == plain["policy"]
 
 
+def test_an_answer_keeps_its_intervention_while_another_page_asks_for_another(lab, monkeypatch):
+    monkeypatch.setattr(agents, "AT_ONCE", 4)
+    steering = {"what": "ablate", "layer": "features.relu2"}
+    asked = MAZE | {"id": 7, "kind": "fields", "level": ROOM, "steering": steering}
+    parts = Session(lab).answers(json.dumps(asked))
+    told = [next(parts)]
+    ask(Session(lab), "fields", **MAZE, level=ROOM, steering=steering | {"channels": [1]})
+    told += parts
+    assert len({json.dumps(one) for part in told for one in part["policy"]}) == 1
+
+
 def test_probes_read_what_is_true_of_the_state(session, monkeypatch):
     pytest.importorskip("sklearn", reason="scikit-learn is not installed")
     monkeypatch.setattr(agents, "VISITED", 40)

@@ -49,7 +49,7 @@ class Agents:
     tested: str | None = None
     _opened: dict[str, tuple[Agent, Config, float | None]] = field(default_factory=dict)
     _visited: dict[tuple[str, str, int], np.ndarray] = field(default_factory=dict)
-    _last: tuple[Any, Shown, Any] | None = None
+    _last: tuple[Any, Shown] | None = None
 
     @classmethod
     def of(cls, runs: Mapping[str, Path], **more: Any) -> Agents:
@@ -102,8 +102,9 @@ class Agents:
             other = copy.copy(agent)
             other.network = copy.deepcopy(agent.network)
             change = steering.change(other, world, message.steering)
-            change.__enter__()  # for as long as the copy is remembered
-            self._last = key, other, change
+            change.__enter__()  # for as long as any answer asks the copy, of any page
+            other.network.change = change  # pyrefly: ignore
+            self._last = key, other
         return self._last[1]
 
     def visited(self, name: str, world: World) -> np.ndarray:
