@@ -1,5 +1,7 @@
 """A window for playing a game, with the agent's observation beside it."""
 
+from collections.abc import Collection
+
 import numpy as np
 
 from astray import imports
@@ -30,32 +32,36 @@ def play(game: Game, variant: Variant, level: int | Level | None = None, art: st
 
     Raises:
         ImportError: If pygame is not installed.
+        RuntimeError: If there is no screen.
     """
     with imports.extra("play", "playing needs pygame-ce"):
         import pygame
 
     env = GameVectorEnv(game, variant, art=art, autoreset_mode="Disabled")
     current = int(np.random.default_rng().integers(LEVELS.stop)) if level is None else level
-    pygame.display.init()
     pygame.font.init()
     try:
+        pygame.display.init()
+        if pygame.display.get_driver() == "offscreen":  # which SDL takes if there is no screen
+            raise RuntimeError("playing needs a screen, and there is none here")
         screen = pygame.display.set_mode((PICTURE + VIEW + 3 * GAP, PICTURE + 2 * GAP))
         pygame.display.set_caption(f"astray {game.name}")
         font, clock = pygame.font.Font(None, TEXT + 4), pygame.time.Clock()
         seen, _ = env.reset(seed=0, options={"level": current})
         total, ended, running = 0.0, False, True
         while running:
-            restart = False
+            restart, tapped = False, set()  # keys that were also released since the last step
             for event in pygame.event.get():
                 if event.type == pygame.QUIT:
                     running = False
                 if event.type == pygame.KEYDOWN:
+                    tapped.add(event.key)
                     running &= event.key != pygame.K_ESCAPE
                     if event.key == pygame.K_n:
                         current = 0 if isinstance(current, Level) else current + 1
                         current %= LEVELS.stop
                     restart |= event.key in (pygame.K_n, pygame.K_r)
-            action = _action(env, pygame.key.get_pressed(), pygame)
+            action = _action(env, pygame.key.get_pressed(), tapped, pygame)
             if action is None and env.game.real_time and env.states[0].time > 0:
                 action = env.game.actions.index("stay")
             if restart:
@@ -73,17 +79,21 @@ def play(game: Game, variant: Variant, level: int | Level | None = None, art: st
         env.close()
 
 
-def _action(env: GameVectorEnv, pressed, pygame) -> int | None:
-    """Return the action for the pressed keys, or None without keys."""
-    across = (pressed[pygame.K_RIGHT] or pressed[pygame.K_d]) - (
-        pressed[pygame.K_LEFT] or pressed[pygame.K_a]
+def _action(env: GameVectorEnv, held, tapped: Collection[int], pygame) -> int | None:
+    """Return the action for the keys that are held or were tapped, or None without keys."""
+
+    def pressed(key: int) -> bool:
+        return held[key] or key in tapped
+
+    across = (pressed(pygame.K_RIGHT) or pressed(pygame.K_d)) - (
+        pressed(pygame.K_LEFT) or pressed(pygame.K_a)
     )
-    up = (pressed[pygame.K_UP] or pressed[pygame.K_w]) - (
-        pressed[pygame.K_DOWN] or pressed[pygame.K_s]
+    up = (pressed(pygame.K_UP) or pressed(pygame.K_w)) - (
+        pressed(pygame.K_DOWN) or pressed(pygame.K_s)
     )
     words = [("left", "", "right")[across + 1], ("down", "", "up")[up + 1]]
-    words = [word for word in (*words, "stay" * pressed[pygame.K_SPACE]) if word]
-    further = [name for k, name in enumerate(_further(env.game)) if pressed[pygame.K_1 + k]]
+    words = [word for word in (*words, "stay" * pressed(pygame.K_SPACE)) if word]
+    further = [name for k, name in enumerate(_further(env.game)) if pressed(pygame.K_1 + k)]
     names = ("-".join(words[:2]), *words, *further)  # not all games have diagonals
     return next((env.game.actions.index(n) for n in names if n in env.game.actions), None)
 

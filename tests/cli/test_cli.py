@@ -349,6 +349,29 @@ def test_time_goes_on_without_keys_where_things_move(game, variant, steps, monke
     assert told[:3] == [0, 0, 1] and told[5] == steps
 
 
+def test_no_window_is_played_in_where_there_is_no_screen(astray, monkeypatch):
+    pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "offscreen")  # which SDL finds by itself there
+    assert "playing needs a screen" in astray("play", "maze", "corner", fails=True)
+
+
+def test_a_key_that_is_pressed_and_released_between_two_steps_is_a_step(monkeypatch):
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    from astray import play
+
+    told, keys = [], [pygame.K_RIGHT, pygame.K_UP, pygame.K_ESCAPE, pygame.K_ESCAPE]
+    monkeypatch.setattr(play, "_lines", lambda env, *_: told.append(int(env.states[0].time)) or [])
+
+    def flip():
+        for kind in (pygame.KEYDOWN, pygame.KEYUP):
+            pygame.event.post(pygame.event.Event(kind, key=keys[len(told) - 1]))
+
+    monkeypatch.setattr(pygame.display, "flip", flip)
+    play.play(games.find("maze"), games.find("maze").variants["corner"], level=3)
+    assert told == [0, 1, 2, 2]
+
+
 def test_keys_press_the_actions_that_a_game_has():
     pygame = pytest.importorskip("pygame")
     from astray import play
@@ -357,7 +380,7 @@ def test_keys_press_the_actions_that_a_game_has():
     words = [(), ("SPACE",), ("LEFT",), ("a", "w"), ("UP", "SPACE"), ("1",), ("2",), ("3",)]
     pressed = [{getattr(pygame, f"K_{key}") for key in keys} for keys in words]
     keys = [defaultdict(bool, dict.fromkeys(held, True)) for held in pressed]
-    found = [play._action(env, held, pygame) for held in keys]
+    found = [play._action(env, held, (), pygame) for held in keys]
     names = [None if action is None else env.game.actions[action] for action in found]
     assert names == [None, "stay", "left", "left", "up", "pick", "drop", None]
 
