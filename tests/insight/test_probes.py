@@ -213,6 +213,17 @@ def test_a_reading_stands_beside_the_truth(mouse, states):
         next(probes.readings(*given, {"never": lambda s: s["level"] < 0}))
 
 
+def test_no_reading_has_a_score_in_states_where_its_label_is_one_number(mouse, states):
+    learn = probes.split(states["level"], 0)
+    some = states["level"][learn][:30]
+    seldom = {"seldom": lambda s: np.where(np.isin(s["level"], some), 2, 0.3)}
+    given = (mouse, SMALL, states, states[:1], ["features.relu1"])
+    with pytest.raises(ValueError, match="a label needs two classes of 20 states, or 20 numbers"):
+        next(probes.readings(*given, seldom))
+    kept = [row["label"] for row in probes.readings(*given, {**MAZE.labels, **seldom})]
+    assert kept == list(MAZE.labels)
+
+
 def test_without_scikit_learn_it_is_told_what_to_install(mouse, states, monkeypatch):
     monkeypatch.setitem(sys.modules, "sklearn", None)
     with pytest.raises(ImportError, match=r'pip install ".\[insight\]"'):

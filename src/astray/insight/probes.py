@@ -293,7 +293,9 @@ def readings(
         for label, measure in labels.items()
     }
     learn = split(states["level"], 0)
-    if not (left := [label for label, (y, _) in values.items() if _usable(y, learn).any()]):
+    others = {label: y[_usable(y, learn) & ~learn] for label, (y, _) in values.items()}
+    # Equal numbers have no variance that a score could be a fraction of.
+    if not (left := [n for n, y in others.items() if y.size and (is_class(y) or np.ptp(y) > 0)]):
         raise ValueError(
             f"a label needs two classes of {LEAST} states, or {LEAST} numbers; none has them in "
             f"these {len(states)} states"
