@@ -33,6 +33,7 @@ from astray.kernel import cache, jit
 from astray.training import checkpoint
 from astray.training.config import PRESETS
 from astray.training.loop import train
+from helpers.owners import POSIX
 
 NAMES = (checkpoint.AGENT, checkpoint.TRAINER)
 TINY = replace(
@@ -232,6 +233,17 @@ def test_no_file_takes_the_place_of_a_link(tmp_path, name, target):
         write_aside(link, b"ours")
     assert link.is_symlink() and (tmp_path / "mine").read_text() == "mine"
     assert len(list(tmp_path.iterdir())) == 2
+
+
+@POSIX
+def test_another_user_s_file_in_a_folder_as_tmp_is_told_before_the_work(tmp_path, monkeypatch):
+    (tmp_path / "episode.mp4").write_text("theirs")
+    monkeypatch.setattr(os, "getuid", lambda: 12345)
+    check_writable(tmp_path / "episode.mp4")
+    tmp_path.chmod(0o1777)
+    with pytest.raises(PermissionError, match=r"episode\.mp4 is another user's"):
+        check_writable(tmp_path / "episode.mp4")
+    check_writable(tmp_path / "mine.mp4")
 
 
 @pytest.mark.parametrize("name", ["episodes.parquet", "posterior.mp4", "posterior.gif"])

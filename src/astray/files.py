@@ -120,13 +120,16 @@ def remove_made(folders: Iterable[Path]) -> None:
 
 
 def check_own(path: Path) -> None:
-    """Raise OSError if `path` is anything but a file: a file would replace it."""
+    """Raise OSError if `path` is anything but a file that a file of this user may replace."""
     if path.is_symlink():  # as /dev/stdout, or what leads to the user's other disk
         raise OSError(f"{path} must be a file to write; it is a link")
     if path.is_dir():
         raise IsADirectoryError(f"{path} must be a file to write; it is a folder")
     if path.exists() and not path.is_file():
         raise OSError(f"{path} must be a file to write; it is a pipe or a device")
+    is_sticky = path.exists() and path.parent.stat().st_mode & stat.S_ISVTX  # as /tmp
+    if is_sticky and os.getuid() not in (0, path.stat().st_uid, path.parent.stat().st_uid):
+        raise PermissionError(f"{path} is another user's, who alone may replace it")
 
 
 def aside_of(path: Path) -> Path:
