@@ -3,6 +3,7 @@
 import contextlib
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -237,6 +238,14 @@ def test_checkpoints_that_lead_nowhere_are_not_begun_anew(begun, target):
     with pytest.raises(NotADirectoryError, match="checkpoints must be a folder"):
         train(TINY, begun, progress=False)
     assert metrics.read_text() == '{"steps": 64}\n'
+
+
+@pytest.mark.skipif(not Path("/proc/sys").is_dir(), reason="root can write to all folders")
+def test_checkpoints_on_a_disk_that_is_only_read_are_told_before_the_training(begun):
+    shutil.rmtree(begun / "checkpoints")
+    (begun / "checkpoints").symlink_to("/proc/sys")
+    with pytest.raises(OSError, match="checkpoints"):
+        checkpoint.check_all({begun: TINY})
 
 
 def test_a_file_in_the_place_of_a_checkpoint_is_told_before_the_training(begun):

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from astray.training import checkpoint, folders
 from astray.training.loop import train
 from astray.training.settings import SEEDS
 from helpers.killed import CONFIG, contents
+from helpers.owners import POSIX
 from helpers.processes import begin
 
 
@@ -117,6 +119,15 @@ def test_a_folder_that_cannot_be_written_is_explained(tmp_path):
         locked.mkdir(mode=0o555)
         with as_nobody(), pytest.raises(OSError, match="no run can be kept in"):
             train(CONFIG, locked / "run", progress=False)
+
+
+@POSIX
+def test_checkpoints_that_may_not_be_looked_at_are_not_called_none():
+    with tempfile.TemporaryDirectory() as run:  # pytest's are closed to others
+        os.chmod(run, 0o755)
+        Path(run, "checkpoints").mkdir(mode=0)
+        with as_nobody(), pytest.raises(PermissionError):
+            folders.latest(Path(run))
 
 
 class as_nobody:

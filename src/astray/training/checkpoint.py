@@ -100,11 +100,13 @@ def _written(folder: Path) -> tuple[list[int], int]:
 
 
 def _check_folders(there: Path, config: Config) -> None:
-    """Raise NotADirectoryError if a training could not write its checkpoints to `there`."""
+    """Raise OSError if a training could not write its checkpoints to `there`."""
     named = (path for path in there.glob("*") if STEPS.fullmatch(path.name))
     for path in (there, *(one for one in named if int(one.name) % config.batch == 0)):
         if os.path.lexists(path) and not path.is_dir():  # as a link to a disk that is not there
             raise NotADirectoryError(f"{path} must be a folder, or not be there")
+    if there.exists():  # it may be another user's, or lead to a disk that is only read
+        files.check_writable(there / AGENT)
 
 
 def check(folder: Path, config: Config) -> None:
@@ -116,7 +118,7 @@ def check_all(runs: Mapping[Path, Config]) -> None:
     """Raise as `claim` does if a training could not begin in its folder, before the first does.
 
     Raises:
-        NotADirectoryError: If a file is where a checkpoint must be.
+        OSError: If it could not write its checkpoints.
     """
     for run, config in runs.items() if parallel.first() else ():
         files.check_writable(run / CONFIG)

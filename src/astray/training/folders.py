@@ -172,8 +172,10 @@ def read_json(path: Path, kind: type, names: Sequence[str] = ()) -> Any:
 
 def steps_saved(folder: Path) -> list[int]:
     """Return the steps of all checkpoints, ascending."""
-    found = (path for path in (folder / "checkpoints").glob("[0-9]*") if path.is_dir())
-    return sorted(int(path.name) for path in found if STEPS.fullmatch(path.name))
+    found: list[Path] = []
+    with contextlib.suppress(FileNotFoundError, NotADirectoryError):  # what may not be seen is told
+        found = [*(folder / "checkpoints").iterdir()]
+    return sorted(int(path.name) for path in found if STEPS.fullmatch(path.name) and path.is_dir())
 
 
 def latest(folder: Path) -> Path:
