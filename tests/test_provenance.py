@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import sys
 import zipfile
 from pathlib import Path
 
@@ -164,3 +165,85 @@ def test_what_a_game_works_out_when_asked_does_not_count():
 def test_data_count():
     assert provenance.digest(data=[1]) == provenance.digest(data=[1])
     assert provenance.digest(data=[1]) != provenance.digest(data=[2])
+
+
+READ = "B = json.loads((pathlib.Path(__file__).parent / 'read.json').read_text())\n"
+CARRIED = {
+    "module": "import reads\ndef far(s): return reads.B\n",
+    "class": f"class C:\n    {READ}def far(s): return C.B\n",
+    "enum": f"class C(enum.Enum):\n    {READ}def far(s): return C.B.value\n",
+    "base class": f"class A:\n    {READ}class C(A): pass\ndef far(s): return C.B\n",
+    "record": f"{READ}@dataclass\nclass C:\n    b: float\nC, B = C(B), 0\ndef far(s): return C.b\n",
+    "instance": f"{READ}class C: pass\nC, C.b = C(), B\ndel B\ndef far(s): return C.b\n",
+    "shown oddly": f"{READ}class C:\n    def __repr__(self): return 'C'\n"
+    "    def __call__(self, s): return self.b\nfar = C()\nfar.b = B\ndel B\n",
+    "slots": f"{READ}class C:\n    __slots__ = 'b'\n    def __call__(self, s): return self.b\n"
+    "far = C()\nfar.b = B\ndel B\n",
+    "helper": "from reads import B, less\ndel B\ndef far(s): return less()\n",
+    "call": f"{READ}class C:\n    def __call__(self, s): return B\nfar = C()\n",
+    "method": f"{READ}class C:\n    def go(self, s): return B\ndef far(s): return C().go(s)\n",
+    "property": f"{READ}class C:\n    @property\n    def b(self): return B\n"
+    "def far(s): return C().b\n",
+    "cache": f"{READ}@functools.cache\ndef b(): return B\ndef far(s): return b()\n",
+    "partial": f"{READ}go = functools.partial(max, B)\ndel B\ndef far(s): return go(0)\n",
+    "list": f"{READ}FAR = [lambda b=B: b]\ndel B\ndef far(s): return FAR[0]()\n",
+    "attribute": f"{READ}def far(s): return far.b\nfar.b = B\ndel B\n",
+    "tensor": f"{READ}T = torch.tensor(B)\ndel B\ndef far(s): return T.item()\n",
+    "table": f"{READ}T = polars.DataFrame({{'b': [B], 'c': 'c'}})\ndel B\n"
+    "def far(s): return T['b'][0]\n",
+    "number": f"{READ}D = fractions.Fraction(B)\ndel B\ndef far(s): return float(D)\n",
+}
+
+
+@pytest.mark.parametrize("how", CARRIED)
+def test_what_a_module_reads_counts_however_a_function_names_it(how, tmp_path, monkeypatch):
+    names = "enum, fractions, functools, json, pathlib, polars, torch"
+    head = f"import {names}\nfrom dataclasses import dataclass\n"
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    (tmp_path / "names.py").write_text(head + CARRIED[how])
+    (tmp_path / "reads.py").write_text(f"{head}{READ}def less(): return B\n")
+    found = []
+    for read in (0.5, 0.5, 0.25):
+        (tmp_path / "read.json").write_text(str(read))
+        for name in ("names", "reads"):
+            monkeypatch.delitem(sys.modules, name, raising=False)
+        far = importlib.import_module("names").far
+        assert far(0) == read
+        found.append([*provenance.values({"far": far})])
+    assert found[0] == found[1] != found[2]
+
+
+ENV = """import gymnasium
+
+class Own(gymnasium.Env):
+    steps = 0
+
+    def step(self, action):
+        self.steps += 1
+
+env = Own()
+
+def train(seed):
+    env.step(seed)
+"""
+
+
+def test_what_an_environment_remembers_is_no_value_of_a_function(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "remembers.py").write_text(ENV)
+    module = importlib.import_module("remembers")
+    before = [*provenance.values(module.train)]
+    module.train(1)
+    assert module.env.steps == 1 and [*provenance.values(module.train)] == before
+
+
+def test_a_function_counts_with_the_module_of_what_stands_before_it(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "before.py").write_text(
+        "import functools\n\ndef twice(f):\n"
+        "    @functools.wraps(f)\n    def g(s):\n        return 2 * f(s)\n    return g\n"
+    )
+    (tmp_path / "after.py").write_text("def far(s):\n    return s\n")
+    twice, far = (importlib.import_module(n) for n in ("before", "after"))
+    assert {*(provenance.sources(twice.twice(far.far)) or ())} == {"before", "after"}

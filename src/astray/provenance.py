@@ -15,8 +15,10 @@ import sys
 from argparse import Namespace
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
+from datetime import date, time, timedelta
 from importlib.machinery import ModuleSpec
 from itertools import accumulate
+from numbers import Number
 from pathlib import Path, PurePath
 from types import CodeType, FunctionType, MethodType, ModuleType, SimpleNamespace
 from typing import Any
@@ -26,7 +28,9 @@ import numpy as np
 Root = ModuleType | FunctionType | type
 ITSELF = "astray"  # of whose own imports only its own modules are followed
 INSTALLED = {"site-packages", "dist-packages"}  # names of folders
-PLAIN = (bool, int, float, complex, str, bytes, type(None), PurePath, np.generic)  # of values
+PLAIN = (
+    Number, str, bytes, bytearray, range, date, time, timedelta, type(None), PurePath, np.generic,
+)  # fmt: skip  # of values
 PYTHONS = Path(contextlib.__file__).parent  # the folder of Python's own modules
 LIBRARIES = {"gymnasium", "numba", "numpy", "torch"}  # whose objects games and agents consist of
 # A parser takes 100 ms for what a game imports, this 7; with names as a list in parentheses or not.
@@ -91,8 +95,12 @@ def values(thing: Any, passed: dict[int, Any] | None = None) -> Iterator[str]:
     """
     if isinstance(thing, PLAIN):
         yield repr(thing)
-    elif isinstance(thing, np.ndarray) and not thing.dtype.hasobject:
-        yield f"{thing.dtype} {thing.shape} {hashlib.sha256(thing.tobytes()).hexdigest()}"
+    elif hasattr(type(thing), "__array__"):  # also a tensor, or a table of polars' or pandas'
+        array = np.asarray(getattr(thing, "detach", lambda: thing)())
+        if array.dtype.hasobject:
+            yield from values(array.tolist(), passed)
+        else:
+            yield f"{array.dtype} {array.shape} {hashlib.sha256(array.tobytes()).hexdigest()}"
     elif isinstance(thing, set | frozenset):
         yield from sorted(one for part in thing for one in values(part, passed))
     elif id(thing) not in (passed := {} if passed is None else passed):
@@ -103,27 +111,80 @@ def values(thing: Any, passed: dict[int, Any] | None = None) -> Iterator[str]:
 
 def _carried(thing: Any) -> Iterable[Any]:
     """Return the parts of a thing in which there may be values."""
-    own = getattr(thing, "__dict__", {})
+    own, kind = getattr(thing, "__dict__", {}), type(thing)
     if isinstance(thing, ModuleType | type):
         return ()
     if isinstance(thing, FunctionType):
         cells = [cell.cell_contents for cell in thing.__closure__ or ()]
-        there = thing.__globals__
-        named = [there[name] for name in sorted({*_names(thing.__code__)} & there.keys())]
-        return [cells, thing.__defaults__, thing.__kwdefaults__] + [
-            one
-            for one in named  # others have sources
-            if isinstance(one, (tuple, SimpleNamespace, Namespace))
-            or _is_data(one)
-            or getattr(one, "__globals__", None) is there
-        ]
+        attributes = [one for item in own.items() if _is_data(item) for one in item]
+        return [cells, thing.__defaults__, thing.__kwdefaults__, attributes, *_named(thing)]
     if isinstance(thing, Mapping):
         return [part for item in thing.items() for part in item]
+    called = [one for one in [getattr(kind, "__call__", None)] if _is_users(one)]  # noqa: B004
     if is_dataclass(thing):  # other fields follow from these, or change with use
-        return [getattr(thing, one.name) for one in fields(thing) if one.init]
+        return called + [getattr(thing, one.name) for one in fields(thing) if one.init]
     if isinstance(thing, functools.partial | MethodType | tuple | list) or "py_func" in own:
         return _parts(thing) or ()
-    return own.items() if " at 0x" in (told := repr(thing)) else [told]
+    if _is_record(kind):  # its `repr` may be anything
+        return [called, object.__getstate__(thing)]  # of slots, too
+    told = repr(thing)
+    return [called, *(own.items() if " at 0x" in told else [told])]
+
+
+def _named(function: FunctionType) -> Iterator[Any]:
+    """Yield the values, functions and records that a function names, also in modules and classes.
+
+    Those of Python and libraries, and of astray's other modules, have sources alone.
+    """
+    there, used = function.__globals__, sorted({*_names(function.__code__)})
+    scopes: list[Mapping[str, Any]] = [there]
+    within: list[object] = []
+    for scope in scopes:
+        for one in (scope[name] for name in used if name in scope):
+            if isinstance(one, ModuleType | type):
+                its = one.__mro__ if isinstance(one, type) else (one,)
+                new = [x for x in its if _is_users(x) and all(x is not y for y in within)]
+                within += new
+                scopes += [{**vars(x), **getattr(x, "__members__", {})} for x in new]
+            elif _tells(one, there):
+                is_bound = isinstance(one, staticmethod | classmethod)
+                yield one.__func__ if is_bound else getattr(one, "fget", one)
+
+
+def _tells(thing: Any, there: Mapping[str, Any]) -> bool:
+    """Return whether a thing is data, a function of `there` or a user's, or a record of these."""
+    if isinstance(thing, dict):
+        return all(_tells(part, there) for item in thing.items() for part in item)
+    if isinstance(thing, functools.partial | MethodType):
+        return all(_tells(part, there) for part in [*(_parts(thing) or ())][1:])
+    if isinstance(thing, list | set | frozenset):
+        return all(_tells(part, there) for part in thing)
+    if isinstance(thing, tuple | SimpleNamespace | Namespace) or _is_data(thing):
+        return True
+    its = getattr(thing, "fget", getattr(thing, "__wrapped__", thing))
+    if isinstance(its, FunctionType):
+        return its.__globals__ is there or _is_users(its)
+    return _is_record(type(thing))
+
+
+def _is_record(kind: type) -> bool:
+    """Return whether a class is a user's, and derives from Python's alone.
+
+    A record of a library's class, as an environment or a network, changes with use.
+    """
+    python = sys.stdlib_module_names
+    return _is_users(kind) and all(_is_users(x) or x.__module__ in python for x in kind.__mro__)
+
+
+def _is_users(thing: Any) -> bool:
+    """Return whether a function, class or module is neither Python's, a library's nor astray's."""
+    name = f"{getattr(thing, '__name__' if isinstance(thing, ModuleType) else '__module__', '')}"
+    if name in ("__main__", "__mp_main__"):  # which has no file in a notebook
+        return True
+    path = getattr(sys.modules.get(name), "__file__", None)
+    if not path or name.partition(".")[0] in {ITSELF, *sys.stdlib_module_names}:
+        return False
+    return not INSTALLED & {*Path(path).parts}
 
 
 def _is_data(thing: Any) -> bool:
@@ -132,7 +193,7 @@ def _is_data(thing: Any) -> bool:
         return all(map(_is_data, (*thing, *thing.values())))
     if isinstance(thing, list | tuple | set | frozenset):
         return all(map(_is_data, thing))
-    return isinstance(thing, (*PLAIN, np.ndarray))
+    return isinstance(thing, PLAIN) or hasattr(type(thing), "__array__")
 
 
 def _names(code: CodeType) -> Iterator[str]:
@@ -172,7 +233,7 @@ def _roots(thing: Any, passed: dict[int, Any]) -> Iterator[Root]:
         return
     passed[id(thing)] = thing
     parts = _parts(thing)
-    if parts is None:
+    if parts is None or isinstance(thing, FunctionType):  # one may stand before another
         yield thing
     for part in parts or ():
         yield from _roots(part, passed)
