@@ -25,9 +25,8 @@ from astray.validation import brief, shown
 LOG = logging.getLogger("astray")
 LONG = 10.0  # seconds of an import before it is announced
 NAME = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
-OTHERS = re.compile(
-    rf"-packages|<frozen|lib.python3|{re.escape(str(Path(__file__).parent))}"
-)  # code
+# Files of code that is not the user's.
+OTHERS = re.compile(rf"-packages|<frozen|lib.python3|{re.escape(str(Path(__file__).parent))}")
 
 
 class Terminated(KeyboardInterrupt):
@@ -50,6 +49,7 @@ class _Lent:
                 return
             self.standard = [(module, {**vars(module)}) for module in (builtins, json, os)]
             self.own, self.path, self.output = (sys.stdout, sys.stderr), [*sys.path], 0
+            self.filters = [*warnings.filters]
             self.depth, self.folder = sys.getrecursionlimit(), ""
             self.muted, self.errors, self.mask = LOG.manager.disable, np.geterr(), os.umask(0o077)
             os.umask(self.mask)
@@ -71,6 +71,10 @@ class _Lent:
             if not self.inside:
                 sys.setrecursionlimit(max(self.depth, sys.getrecursionlimit()))
                 np.seterr(**self.errors)
+                # A warning that is an error would break what is imported next.
+                warnings.filters[:] = [  # pyrefly: ignore
+                    one for one in warnings.filters if one[0] != "error" or one in self.filters
+                ]
                 os.umask(self.mask)
                 if not self.leaves_alarm:
                     signal.alarm(0)
@@ -105,6 +109,7 @@ def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
     Raises:
         ValueError: If the code raises anything but those.
     """
+    learns = getattr(sys.modules.get("torch"), "is_grad_enabled", lambda: True)()  # of a thread
     try:
         with LENT:
             yield
@@ -112,6 +117,8 @@ def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
         raise
     except BaseException as error:
         raise ValueError(f"{what} fails: {shown(error, 300)}{_place(error)}") from error
+    finally:
+        getattr(sys.modules.get("torch"), "set_grad_enabled", lambda _: None)(learns)
 
 
 def _place(error: BaseException) -> str:

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -230,6 +231,24 @@ def test_a_game_that_sets_torch_s_usual_numbers_breaks_no_agent(tmp_path, monkey
         assert make_lab("maze-corner", {}).agents.about("maze-corner")["game"] == "maze"
     finally:
         torch.set_default_dtype(torch.float32)
+        games._offered.cache_clear()
+
+
+def test_a_game_that_makes_warnings_errors_or_learns_nothing_breaks_no_other(tmp_path, monkeypatch):
+    import torch
+
+    sets = "import warnings, torch\nwarnings.simplefilter('error')\ntorch.set_grad_enabled(False)"
+    warns = "import dataclasses, warnings\nfrom astray import games\nwarnings.warn('old')\n"
+    warns += "GAME = dataclasses.replace(games.find('maze'), name='warns')"
+    offer(tmp_path, monkeypatch, sets=sets, warns=warns)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found, broken = games.survey(lambda game: 0)
+        assert "warns" in found and [*broken] == ["sets"]
+        assert torch.is_grad_enabled()
+    finally:
+        torch.set_grad_enabled(True)
         games._offered.cache_clear()
 
 
