@@ -78,6 +78,14 @@ def test_what_has_no_value_or_no_weight_is_left_out():
     assert (b["mean"], b["low"], b["high"]) == (None, None, None)
 
 
+@pytest.mark.parametrize("weights", [[2, 3, 0], [5, 0, 0], [2, 0, 3]])
+def test_what_a_level_without_weight_sums_up_to_counts(weights):
+    rows = pl.DataFrame({"level": [1, 2, 3], "value": [1.0, 2.0, 4.0], "area": weights})
+    (whole,) = group_means(rows.with_columns(part=1), "value", ["part"], per="area").to_dicts()
+    assert whole["mean"] == pytest.approx(7 / 5)
+    assert whole["low"] < 7 / 5 < whole["high"] and whole["levels"] == 3
+
+
 def test_equal_weights_change_nothing():
     values = np.random.default_rng(0).random((3, 30))
     assert estimate_mean(values, np.ones((3, 30))) == estimate_mean(values)

@@ -95,8 +95,9 @@ def estimate_mean(
     if rate:
         values = (values - lowest * weights) / (1 - lowest)
     total = float(weights.sum())
-    if total:  # an agent or a level without weight says nothing
-        there = np.ix_(weights.any(1), weights.any(0))
+    if total:  # an agent or a level without weight and values says nothing
+        told = (weights != 0) | (values != 0)
+        there = np.ix_(told.any(1), told.any(0))
         values, weights = values[there], weights[there]
     agents, levels = values.shape
     if not total or not all(np.isfinite(one).all() for one in (values, *pool)):
@@ -297,7 +298,7 @@ def _of_mean(parts: np.ndarray, fractions: np.ndarray | None) -> tuple[float, fl
     count = len(parts)
     freedom = count - 1.0
     if fractions is not None and np.ptp(fractions):
-        parts = parts * (without := (1 - 1 / count) / (1 - fractions))
+        parts = parts * (without := (1 - 1 / count) / (1 - fractions).clip(ROUNDED))
         scale = count * without * fractions
         # The variance is a quadratic form with the matrix diag(scale^2) + U S U'. Its traces are
         # found without the matrix, N x N, which would be large for many levels.
