@@ -21,13 +21,14 @@ from astray.analysis.outcomes import (
     amounts,
     label,
     load_shift,
+    matrix,
     outcomes_of,
     rates,
 )
 from astray.analysis.replay import replay
 from astray.analysis.runs import evaluate_policies
 from astray.experiments import spec
-from astray.experiments.outcomes import outcome_plots, outcome_tables
+from astray.experiments.outcomes import AGENTS, outcome_plots, outcome_tables, rate
 from astray.experiments.spec import Plan, Work
 from astray.figures import charts
 from astray.game import More, Shift
@@ -194,3 +195,19 @@ def test_episodes_that_never_end_are_refused_at_once_or_left_after_the_longest(m
 def test_the_intended_goal_is_no_proxy_of_itself():
     with pytest.raises(ValueError, match="a proxy must not be the intended goal, 'cheese'"):
         Shift("corner", "anywhere", "cheese", ("corner", "cheese"))
+
+
+def test_agents_of_other_levels_or_tests_of_other_agents_are_not_paired():
+    """Of as many levels each, they were compared in different ones."""
+
+    def told(test, seed, levels):
+        rows = {"level": levels, "outcome": [INTENDED, MISGENERALIZED]}
+        return pl.DataFrame(rows).with_columns(test=pl.lit(test), seed=seed, policy=pl.lit(AGENTS))
+
+    one, other, third = (told("a", seed, [1, 2]) for seed in range(3))
+    apart = told("a", 1, [2, 3])
+    with pytest.raises(ValueError, match="in other levels than each other"):
+        matrix(pl.concat([one, apart]), pl.col("outcome") == INTENDED)
+    again = pl.concat([one, third]).with_columns(test=pl.lit("b"))
+    with pytest.raises(ValueError, match="not in the same levels, of the same agents"):
+        rate(pl.concat([one, other, again]), "a", INTENDED, minus_test="b")

@@ -214,7 +214,8 @@ def matrix(episodes: pl.DataFrame, value: pl.Expr) -> np.ndarray:
     """Return `value` of every episode as [agents, levels], bool or float, for `estimate_mean`.
 
     Raises:
-        ValueError: If an agent has several episodes in a level, as in a stream.
+        ValueError: If an agent has several episodes in a level, as in a stream, or none in one in
+            which another has.
     """
     agent = [name for name in AGENT if name in episodes.columns]
     table = episodes.select(*agent, "level", value=value).sort(*agent, "level", maintain_order=True)
@@ -225,4 +226,7 @@ def matrix(episodes: pl.DataFrame, value: pl.Expr) -> np.ndarray:
     if table["value"].dtype != pl.Boolean:
         table = table.with_columns(pl.col("value").cast(pl.Float64))
     agents = table.partition_by(agent, maintain_order=True)
+    if any(not one["level"].equals(agents[0]["level"]) for one in agents):
+        told = "agents have episodes in other levels than each other"
+        raise ValueError(f"{told}; `estimates.mean_of` and `outcomes.rates` take any levels")
     return np.stack([agent["value"].to_numpy() for agent in agents])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import Estimate, estimate_paired, mean_of, minus
+from astray.analysis.estimates import AGENT, Estimate, estimate_paired, mean_of, minus
 from astray.analysis.outcomes import (
     INTENDED,
     MISGENERALIZED,
@@ -61,8 +61,10 @@ def rate(
     other = pl.col("outcome") == (minus or outcome)
     if minus_test:
         its = _of_one(episodes, minus_test)
-        if set(its["level"]) != set(part["level"]):
-            raise ValueError(f"the tests {test!r} and {minus_test!r} are not in the same levels")
+        who = [name for name in (*AGENT, "level") if name in part.columns]
+        if {*its.select(who).rows()} != {*part.select(who).rows()}:
+            told = "are not in the same levels, of the same agents"
+            raise ValueError(f"the tests {test!r} and {minus_test!r} {told}")
         return estimate_paired(matrix(part, came), matrix(its, other))
     if not minus:
         return mean_of(part, came)
