@@ -25,6 +25,7 @@ import pytest
 from gymnasium import spaces
 
 from astray import acting, games
+from astray import world as registry
 from astray.analysis import video
 from astray.analysis.adapters import Function, from_sb3
 from astray.analysis.dataset import export, read_trajectories, trajectories
@@ -892,7 +893,7 @@ def test_an_ability_that_a_world_lacks_is_told():
 
 
 @pytest.mark.parametrize("knobs", [{}, {"vector": True}, {"vector": 2}])
-def test_episodes_of_a_world_are_exported_and_read_as_they_were(tmp_path, knobs):
+def test_episodes_of_a_world_are_exported_and_read_as_they_were(tmp_path, knobs, monkeypatch):
     variant = WORLD.variant("anywhere").with_knobs(knobs)
     folder = export(Random(), WORLD, variant, LEVELS, tmp_path / "data")
     written = {one.level: one for one in trajectories(Random(), WORLD, variant, LEVELS)}
@@ -904,5 +905,7 @@ def test_episodes_of_a_world_are_exported_and_read_as_they_were(tmp_path, knobs)
     assert read[3].observations.dtype == np.float32
     with pytest.raises(ValueError, match="Minari's layout is of games; room is a World"):
         export(Random(), WORLD, variant, LEVELS, tmp_path / "minari", form="minari")
+    monkeypatch.setitem(registry._registered, WORLD.name, WORLD)  # whose name files know then
+    assert {one.level for one in read_trajectories(folder)} == set(read)
     with pytest.raises(ValueError, match="it is of 'room', not of 'other'"):
         next(read_trajectories(folder, replace(WORLD, name="other")))

@@ -25,7 +25,7 @@ import numpy as np
 import polars as pl
 from gymnasium import spaces
 
-from astray import games, imports, world
+from astray import imports, world
 from astray.acting import Levels, Policy, check_policy, steps
 from astray.analysis.tables import read_table, write_table
 from astray.envs import VERSION
@@ -223,7 +223,7 @@ def _rows(one: Trajectory) -> pl.DataFrame:
 def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Trajectory]:
     """Yield the trajectories that `export` wrote as Parquet, in the same order.
 
-    For trajectories of a `World`, `of` is that world.
+    For trajectories of a `World` that is not registered, `of` is that world.
 
     Raises:
         FileNotFoundError: If there is no data set.
@@ -237,7 +237,7 @@ def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Traject
         about = json.loads(read(path, LARGEST))
         if not isinstance(about, dict) or about.get("format") != FORMAT:
             raise ValueError(f"it must be an object of format {FORMAT}; got {shown(about)}")
-        game: Any = of or games.find(about["game"])
+        game: Any = of or world.find(about["game"])
         if game.name != about["game"]:
             raise ValueError(f"it is of {shown(about['game'])}, not of {game.name!r}")
         if json.loads(json.dumps(np.dtype(game.state.descr).descr)) != about["state"]:
