@@ -189,15 +189,19 @@ CARRIED = {
     "list": f"{READ}FAR = [lambda b=B: b]\ndel B\ndef far(s): return FAR[0]()\n",
     "attribute": f"{READ}def far(s): return far.b\nfar.b = B\ndel B\n",
     "tensor": f"{READ}T = torch.tensor(B)\ndel B\ndef far(s): return T.item()\n",
+    "bfloat16": f"{READ}T = torch.tensor(B, dtype=torch.bfloat16)\ndel B\n"
+    "def far(s): return T.item()\n",
     "table": f"{READ}T = polars.DataFrame({{'b': [B], 'c': 'c'}})\ndel B\n"
     "def far(s): return T['b'][0]\n",
+    "settings": f"{READ}C = astray.Config('maze', 'corner', learning_rate=B)\ndel B\n"
+    "def far(s): return C.learning_rate\n",
     "number": f"{READ}D = fractions.Fraction(B)\ndel B\ndef far(s): return float(D)\n",
 }
 
 
 @pytest.mark.parametrize("how", CARRIED)
 def test_what_a_module_reads_counts_however_a_function_names_it(how, tmp_path, monkeypatch):
-    names = "enum, fractions, functools, json, pathlib, polars, torch"
+    names = "astray, enum, fractions, functools, json, pathlib, polars, torch"
     head = f"import {names}\nfrom dataclasses import dataclass\n"
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)

@@ -95,8 +95,7 @@ def values(thing: Any, passed: dict[int, Any] | None = None) -> Iterator[str]:
     """
     if isinstance(thing, PLAIN):
         yield repr(thing)
-    elif hasattr(type(thing), "__array__"):  # also a tensor, or a table of polars' or pandas'
-        array = np.asarray(getattr(thing, "detach", lambda: thing)())
+    elif (array := _array_of(thing)) is not None:
         if array.dtype.hasobject:
             yield from values(array.tolist(), passed)
         else:
@@ -107,6 +106,14 @@ def values(thing: Any, passed: dict[int, Any] | None = None) -> Iterator[str]:
         passed[id(thing)] = thing
         for part in _carried(thing):
             yield from values(part, passed)
+
+
+def _array_of(thing: Any) -> np.ndarray | None:
+    """Return an array, a tensor or a table as an array; None if NumPy cannot have its numbers."""
+    if hasattr(type(thing), "__array__"):
+        with contextlib.suppress(Exception):  # as of a tensor of bfloat16, whose `repr` counts
+            return np.asarray(thing.detach().cpu() if hasattr(thing, "detach") else thing)
+    return None
 
 
 def _carried(thing: Any) -> Iterable[Any]:
@@ -164,7 +171,8 @@ def _tells(thing: Any, there: Mapping[str, Any]) -> bool:
     its = getattr(thing, "fget", getattr(thing, "__wrapped__", thing))
     if isinstance(its, FunctionType):
         return its.__globals__ is there or _is_users(its)
-    return _is_record(type(thing))
+    frozen = getattr(getattr(thing, "__dataclass_params__", None), "frozen", False)  # as a Config
+    return frozen or _is_record(type(thing))
 
 
 def _is_record(kind: type) -> bool:
