@@ -8,10 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from astray import cli
-from astray.files import write_aside
-from helpers.browsed import browser
-from helpers.cases import REFERENCE
+# Fixtures import what they need: the process that hands tests to the others needs none of it.
 
 
 def pytest_configure():
@@ -54,6 +51,8 @@ def _threads_and_processes_as_before():
 
 @pytest.fixture(scope="session")
 def chrome():
+    from helpers.browsed import browser
+
     with browser() as found:
         yield found
 
@@ -65,6 +64,7 @@ def undrawn(monkeypatch):
 
     from astray.analysis import video
     from astray.experiments import videos
+    from astray.files import write_aside
 
     monkeypatch.setattr(Figure, "savefig", lambda _, file, **how: file.write(b"<svg></svg>"))
     monkeypatch.setattr(video, "write", lambda _, path, fps: write_aside(path, b"a video"))
@@ -74,6 +74,8 @@ def undrawn(monkeypatch):
 @pytest.fixture
 def reference() -> Path:
     """Recordings of the original program."""
+    from helpers.cases import REFERENCE
+
     return REFERENCE
 
 
@@ -102,6 +104,7 @@ def full_disk():
 @pytest.fixture
 def astray(monkeypatch, capsys):
     """Runs a command; its standard output, or its error if it fails."""
+    from astray import cli
 
     def run(*words, fails=False):
         monkeypatch.setattr(sys, "argv", ["astray", *map(str, words)])
