@@ -1,6 +1,7 @@
 """The tests' own order: folders as in the package, helpers apart, and no test imports a test."""
 
 import ast
+import contextlib
 import re
 import tomllib
 from pathlib import Path
@@ -20,21 +21,18 @@ OTHERS = {"attack", "benchmarks", "examples", "fuzz", "helpers", "reference"}
 def imported(path):
     """The modules that a file imports, also within its functions and in programs it starts."""
     trees = [ast.parse(path.read_text())]
-    for node in ast.walk(trees[0]):
-        if (
-            isinstance(node, ast.Constant)
-            and isinstance(node.value, str)
-            and "import" in node.value
-        ):
-            try:
-                trees.append(ast.parse(node.value))
-            except SyntaxError:  # no program
-                continue
-    for node in (node for tree in trees for node in ast.walk(tree)):
+    for node in (node for tree in trees for node in ast.walk(tree)):  # programs join the trees
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             yield from (f"{node.module or ''}.{alias.name}" for alias in node.names)
+        elif (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and "import" in node.value
+        ):
+            with contextlib.suppress(SyntaxError):  # no program
+                trees.append(ast.parse(node.value))
 
 
 def test_no_test_imports_a_test():

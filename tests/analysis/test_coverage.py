@@ -53,7 +53,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(agents):
         assert 0.92 <= held <= 0.99, (middle, spread, shared, held)
 
 
-@pytest.mark.parametrize("agents, told", [(5, 0.43), (10, 0.64), (30, 0.92)])
+@pytest.mark.parametrize("agents, told", [*thorough((5, 0.43), (10, 0.64)), (30, 0.92)])
 def test_a_rare_agent_that_often_fails_is_missed_by_few(agents, told):
     """Nine of ten never fail, one in half of its episodes: as often as docs/evaluation.md says.
 
@@ -66,7 +66,7 @@ def test_a_rare_agent_that_often_fails_is_missed_by_few(agents, told):
     assert abs(held - told) < 0.06
 
 
-@pytest.mark.parametrize("agents, told", [(2, 0.60), (3, 0.75), (4, 0.87), (5, 0.94)])
+@pytest.mark.parametrize("agents, told", [(2, 0.60), *thorough((3, 0.75), (4, 0.87), (5, 0.94))])
 def test_agents_of_two_kinds_are_missed_where_all_are_of_one(agents, told):
     """Half succeed in 95 of 100 episodes, half in 5: as often as docs/evaluation.md says."""
     random = np.random.default_rng(agents)
@@ -76,7 +76,7 @@ def test_agents_of_two_kinds_are_missed_where_all_are_of_one(agents, told):
     assert abs(held - told) < 0.05
 
 
-@pytest.mark.parametrize("agents", [5, 10])
+@pytest.mark.parametrize("agents", [5, *thorough(10)])
 def test_agents_that_differ_widely_are_covered_less_often(agents):
     """As docs/evaluation.md says; the rarest of them fail most."""
     assert abs(covered(agents, NEARLY_ALL, HUGE, 0.0, 0) - 0.87) < 0.04
@@ -229,7 +229,7 @@ def test_differences_of_kinds_hold_the_truth_as_often_as_they_say(agents):
         assert 0.92 <= held <= most, (middle, spread, pooled, held)
 
 
-@pytest.mark.parametrize("agents", [2, 3, 5])
+@pytest.mark.parametrize("agents", [2, *thorough(3, 5)])
 def test_agents_that_differ_more_than_those_of_other_kinds_are_covered_less_often(agents):
     """As docs/evaluation.md says: a pool says how much they differ if all kinds differ alike."""
     random = np.random.default_rng([agents, 5])
@@ -240,7 +240,7 @@ def test_agents_that_differ_more_than_those_of_other_kinds_are_covered_less_ofte
     assert 0.78 <= np.mean([one.low <= truth <= one.high for one in found]) <= 0.92
 
 
-@pytest.mark.parametrize("agents", [5, 8])
+@pytest.mark.parametrize("agents", [5, *thorough(8)])
 def test_kinds_that_nearly_all_succeed_and_differ_widely_are_told_apart_too_often(agents):
     """As for a single kind, a rare agent that often fails is hardly ever among few."""
     random = np.random.default_rng([agents, 5])
@@ -284,7 +284,7 @@ def test_nine_of_ten_is_not_enough():
 
 
 @pytest.mark.parametrize(
-    "agents, levels, least, most", [(10, 300, 0.66, 0.77), (8, 100, 0.87, 0.95)]
+    "agents, levels, least, most", [(10, 300, 0.66, 0.77), *thorough((8, 100, 0.87, 0.95))]
 )
 def test_levels_too_rare_for_a_test_are_missed_by_all_agents(agents, levels, least, most):
     """One of 200, in which all fail: as docs/evaluation.md says, no interval can know of it."""

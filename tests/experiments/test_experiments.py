@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import json
+import multiprocessing
 import os
 import re
 import shutil
@@ -20,7 +21,7 @@ import pytest
 from astray import games, provenance
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.runs import open_run
-from astray.experiments import catalogue, labs, outcomes, run, videos
+from astray.experiments import catalogue, labs, outcomes, run, videos, workers
 from astray.experiments.outcomes import rate
 from astray.experiments.spec import Plan, plan_of
 from astray.experiments.studies.coinrun import attribution
@@ -343,6 +344,25 @@ def test_tables_are_computed_anew_where_a_test_has_another_variant(monkeypatch):
     assert digest_of_tables("maze-corner") != before
 
 
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_process_of_trainings_ends_once_nobody_holds_the_other_end_of_its_pipe():
+    context = multiprocessing.get_context("fork")
+    there, here = context.Pipe(duplex=False)
+
+    def work():
+        here.close()
+        workers._begin(there)
+        time.sleep(PATIENCE)
+
+    process = context.Process(target=work, daemon=True)
+    process.start()
+    here.close()
+    process.join(PATIENCE / 3)
+    assert process.exitcode == 1
+
+
+@pytest.mark.thorough  # the test before this one
 @pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")
 def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
     words = ("reproduce", "maze-corner", "--workers", "1", "--out")

@@ -38,7 +38,7 @@ CONFIG = replace(
 
 
 # The run that is killed; `CONFIG` is for tests that need to be in the middle of one.
-SHORT = replace(CONFIG, steps=8 * 1024)
+SHORT = replace(CONFIG, num_steps=32, steps=8 * 512)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -55,12 +55,12 @@ def look(folder: Path, before: int) -> int:
     last = saved[-1] if saved else 0
     assert last >= before, f"the run fell back from {before} steps to {last}"
     for steps in saved:
-        policy.load(folder / "checkpoints" / f"{steps}" / checkpoint.AGENT, CONFIG.game)
+        policy.load(folder / "checkpoints" / f"{steps}" / checkpoint.AGENT, SHORT.game)
     path = folder / "metrics.jsonl"
     lines = path.read_text().splitlines(keepends=True) if path.exists() else []
     whole = [json.loads(line) for line in lines if line.endswith("\n")]
     done = whole[-1]["steps"] if whole else 0
-    assert done - last <= CONFIG.checkpoint_every * CONFIG.batch, f"{done - last} steps are lost"
+    assert done - last <= SHORT.checkpoint_every * SHORT.batch, f"{done - last} steps are lost"
     return last
 
 

@@ -19,6 +19,7 @@ from astray.insight.interventions import steer
 from astray.level import Level
 from astray.training import folders
 from helpers.looked_into import ROOM
+from helpers.thorough import thorough
 
 MAZE = games.find("maze")
 SMALL = MAZE.variant("anywhere-small")
@@ -168,7 +169,9 @@ def test_pictures_show_as_many_arrows_as_places(mouse, level, field, tmp_path):
     assert len(paths.axes) == 2
 
 
-@pytest.mark.parametrize("game", ["keys", "coinrun"])  # most of it is compiling these games
+@pytest.mark.parametrize(
+    "game", [*thorough("keys"), "coinrun"]
+)  # most of it is compiling these games
 def test_other_games_have_fields_too(game, tmp_path):
     name = {"keys": "many-chests", "coinrun": "coin-end"}[game]
     agent, config = open_run(folders.find(name))

@@ -17,6 +17,7 @@ from astray.insight.fields import fields, states_at
 from astray.insight.interventions import ablate, changed, interchange, steer, thinking
 from astray.insight.probes import probe
 from astray.training.loop import train
+from helpers.thorough import thorough
 from helpers.trainings import TINY
 
 SMALL = TINY.variant_for("anywhere-small")
@@ -24,7 +25,7 @@ NETWORKS = ("mlp+gru", "mlp+lstm", "drc-1-2")
 STATE = {"mlp+gru": "recalled", "mlp+lstm": "recalled", "drc-1-2": "tick2"}
 
 
-@pytest.fixture(scope="module", params=NETWORKS)
+@pytest.fixture(scope="module", params=[*thorough(NETWORKS[0]), *NETWORKS[1:]])
 def agent(request, made):
     return made(request.param)
 

@@ -19,6 +19,7 @@ from astray.insight.fields import splay
 from astray.level import Level
 from astray.training import folders
 from helpers.looked_into import ROOM
+from helpers.thorough import thorough
 
 MAZE, COINRUN = games.find("maze"), games.find("coinrun")
 SMALL = MAZE.variant("anywhere-small")
@@ -112,7 +113,7 @@ def test_the_interval_of_a_score_is_over_levels():
     assert values.mean() == pytest.approx(r2_score(numbers, guess))
 
 
-@pytest.mark.parametrize("count, few", [(50, 3), (50, 15), (200, 5)])
+@pytest.mark.parametrize("count, few", [(50, 3), *thorough((50, 15), (200, 5))])
 def test_a_score_holds_the_truth_where_a_class_is_in_few_levels(count, few):
     """All told right, or not, in these few: 34 to 90 of 100 held it."""
     random, every, some = np.random.default_rng(count), np.repeat(np.arange(count), 20), []

@@ -17,6 +17,7 @@ from astray.training.fast.acceleration import agreement, resolve
 from astray.training.fast.graphs import restore
 from astray.training.loop import collect, train, update
 from astray.training.trainer import Trainer
+from helpers.thorough import thorough
 from helpers.trainings import OFF, PICTURES, PLAIN, TINY, digest, train_to_first_checkpoint
 
 FEWEST = PICTURES.changed(num_envs=2, num_steps=2, epochs=1, steps=12)  # of three iterations
@@ -104,9 +105,10 @@ def test_impalas_gradient_is_near_the_plain_one(change):
 
 
 @pytest.mark.skipif(not shutil.which("g++"), reason="there is no C++ compiler")
-def test_the_compiled_loss_is_the_plain_one(monkeypatch):
-    # All of torch.compile but its last step, machine code, which takes a minute or two.
-    monkeypatch.setattr(torch, "compile", functools.partial(torch.compile, backend="aot_eager"))
+@pytest.mark.parametrize("backend", ["eager", *thorough("aot_eager")])
+def test_the_compiled_loss_is_the_plain_one(backend, monkeypatch):
+    # What torch.compile makes of Python, and of gradients, too; machine code takes a minute or two.
+    monkeypatch.setattr(torch, "compile", functools.partial(torch.compile, backend=backend))
     monkeypatch.setattr(torch._dynamo.config, "fail_on_recompile_limit_hit", True)
     whole = PLAIN.changed(minibatches=1)  # each number of samples is compiled anew
     plain, compiled = (iteration(whole.changed(compile=on)) for on in (False, True))
@@ -121,8 +123,11 @@ def test_the_compiled_loss_is_the_plain_one(monkeypatch):
 
 @pytest.mark.parametrize(
     "config",
-    [TINY.changed(groups=2), FEWEST.changed(channels_last=True, bfloat16=True)],
-    ids=["groups", "bfloat16, channels last"],
+    [
+        TINY.changed(groups=2, bfloat16=True),
+        *thorough(FEWEST.changed(channels_last=True, bfloat16=True)),
+    ],
+    ids=["groups, bfloat16", "bfloat16, channels last"],
 )
 def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeypatch):
     config = replace(config, checkpoint_every=2)

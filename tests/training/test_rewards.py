@@ -89,7 +89,7 @@ def test_a_reward_is_told_the_numbers_of_levels_in_evaluation_as_in_training(gam
 
 
 def test_an_agent_learns_what_a_reward_of_ones_own_pays():
-    config = Config(WORLD, "end", num_envs=8, num_steps=32, minibatches=4, steps=20 * 256)
+    config = Config(WORLD, "end", num_envs=8, num_steps=32, minibatches=4, steps=12 * 256)
     *_, last = iterate(config, reward=leftward)
     assert last.metrics["training/return"] > 3 and last.metrics["training/reached_end"] == 0
 

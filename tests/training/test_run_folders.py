@@ -67,16 +67,16 @@ def test_a_full_disk_leaves_the_run_as_it_was_and_it_goes_on_when_there_is_room(
     saved = checkpoint.save
 
     def save(folder, trainer):
-        if trainer.steps == 4 * 1024:
+        if trainer.steps == 4 * 256:
             full_disk(80_000)  # room for the agent, not for the trainer
         saved(folder, trainer)
 
     monkeypatch.setattr(checkpoint, "save", save)
-    config = replace(CONFIG, steps=8 * 1024)
+    config = replace(CONFIG, num_steps=16, steps=8 * 256)
     with pytest.raises(OSError, match=r"nothing was written: '.*trainer\.safetensors'"):
         train(config, tmp_path, progress=False)
     full_disk()
-    assert checkpoint.steps_saved(tmp_path) == [2048]
+    assert checkpoint.steps_saved(tmp_path) == [512]
     assert not [p for p in tmp_path.rglob(".*") if p.name != ".lock"]
     monkeypatch.setattr(checkpoint, "save", saved)
     train(config, tmp_path, progress=False)
