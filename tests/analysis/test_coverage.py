@@ -53,7 +53,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(agents):
         assert 0.92 <= held <= 0.99, (middle, spread, shared, held)
 
 
-@pytest.mark.parametrize("agents, told", [*thorough((5, 0.43), (10, 0.64)), (30, 0.92)])
+@pytest.mark.parametrize("agents, told", [(10, 0.64), *thorough((5, 0.43), (30, 0.92))])
 def test_a_rare_agent_that_often_fails_is_missed_by_few(agents, told):
     """Nine of ten never fail, one in half of its episodes: as often as docs/evaluation.md says.
 
@@ -251,7 +251,7 @@ def test_kinds_that_nearly_all_succeed_and_differ_widely_are_told_apart_too_ofte
     assert 0.89 <= np.mean([one.low <= 0 <= one.high for one in found]) <= 0.95
 
 
-@pytest.mark.parametrize("others, spread", [(9, 0.3), *thorough((5, 0.3), (9, LARGE), (20, LARGE))])
+@pytest.mark.parametrize("others, spread", [(5, 0.3), *thorough((9, 0.3), (9, LARGE), (20, LARGE))])
 def test_two_agents_against_many_are_told_apart_too_often(others, spread):
     """As docs/evaluation.md says: Welch's freedom is too much where the two happen to be alike."""
     random = np.random.default_rng(others)
@@ -284,7 +284,7 @@ def test_nine_of_ten_is_not_enough():
 
 
 @pytest.mark.parametrize(
-    "agents, levels, least, most", [(10, 300, 0.66, 0.77), *thorough((8, 100, 0.87, 0.95))]
+    "agents, levels, least, most", [(8, 100, 0.87, 0.95), *thorough((10, 300, 0.66, 0.77))]
 )
 def test_levels_too_rare_for_a_test_are_missed_by_all_agents(agents, levels, least, most):
     """One of 200, in which all fail: as docs/evaluation.md says, no interval can know of it."""

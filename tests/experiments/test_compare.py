@@ -147,7 +147,7 @@ def test_the_largest_difference_of_many_pairs_has_an_interval_for_the_largest():
     table = pl.DataFrame(
         {"policy": np.repeat([*names], 100), "level": [*range(100)] * 8, "seed": 0}
     )
-    for _ in range(40):
+    for _ in range(20):
         came = (random.random((8, 100)) < chance[:, None]).ravel()
         outcome = np.where(came, MISGENERALIZED, INTENDED)
         episodes = table.with_columns(outcome=outcome)

@@ -1,6 +1,7 @@
 """Several experiments in a row, and how long they will take."""
 
 import importlib
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -131,6 +132,7 @@ def test_agents_are_not_trained_by_code_that_was_edited_since_the_command_began(
     with pytest.raises(ValueError, match="edited_pay was edited after this command began"):
         run.train_agents(plan, tmp_path, 1, "here")
     assert len(trained) == 1
+    monkeypatch.setattr(workers, "ProcessPoolExecutor", lambda count, *_: ThreadPoolExecutor(count))
     with pytest.raises(ValueError, match="edited_pay was edited after this command began"):
         workers.train_all({tmp_path / "run": config}, 1, known={"edited_pay": "another"})
 

@@ -158,7 +158,7 @@ def test_a_feature_of_equal_reals_is_refused(caused):
         predict(rows, "outcome", ["same"])
 
 
-@pytest.mark.parametrize("area", [*thorough(0.7, 0.9), 0.95, *thorough(0.98), 0.995])
+@pytest.mark.parametrize("area", [0.7, *thorough(0.9, 0.95, 0.98), 0.995])
 @pytest.mark.parametrize("true, false", [(10, 10), *thorough((5, 45), (25, 25)), (6, 294)])
 def test_intervals_of_areas_hold_the_truth_as_often_as_they_say(area, true, false):
     """Those of resampled levels held 0.98 in 54 of 100 samples of 20, and had no width in 46."""
