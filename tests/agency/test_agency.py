@@ -27,6 +27,7 @@ from astray.agency.measure import (
 from astray.agency.online import measure_online
 from astray.agency.population import rates
 from astray.agency.steps import EXACT, log_product, log_table, rule
+from helpers.thorough import thorough
 
 SMALL = World.parse("...\n.#.\n...")
 OPTIONS = [
@@ -40,7 +41,7 @@ OPTIONS = [
 
 
 @pytest.mark.parametrize("options", OPTIONS)
-@pytest.mark.parametrize("world", [SMALL, World.parse("...\n..#")])
+@pytest.mark.parametrize("world", [SMALL, *thorough(World.parse("...\n..#"))])
 def test_probabilities_of_all_trajectories_sum_to_one(options, world):
     agent, device, top = 0.0, 0.0, len(world.free) - 1
     for actions in itertools.product(range(4), repeat=4):

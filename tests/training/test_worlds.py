@@ -38,7 +38,7 @@ SMALL = Config(
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "room"
-    train(replace(SMALL, steps=24 * 256), folder, progress=False)
+    train(replace(SMALL, steps=14 * 256), folder, progress=False)
     return folder
 
 
