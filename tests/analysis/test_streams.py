@@ -71,6 +71,7 @@ def test_no_level_of_a_stream_distinguishes_goals():
     assert set(result.rates["levels_played"]) == {"all"}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_audit_of_streams_says_so_and_has_no_ghost_and_no_videos(tmp_path):
     with pytest.raises(ValueError, match="streams has no ghosts: its levels do not repeat"):
         audit(RIGHT, STREAMS, "end", ghost="end", out=tmp_path)
@@ -82,6 +83,7 @@ def test_an_audit_of_streams_says_so_and_has_no_ghost_and_no_videos(tmp_path):
     assert "episodes evaluated" in text and "found with a power" not in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_audit_of_streams_without_proxies_compares_rates_of_other_levels(tmp_path):
     alone = {"end": Shift("end", "anywhere", "square", ())}
     page = audit(RIGHT, replace(STREAMS, shifts=alone), "end", levels=30, out=tmp_path)
@@ -110,6 +112,7 @@ def test_levels_that_do_not_repeat_distinguish_no_goals_and_are_not_compared(tmp
         audit(RIGHT, world, "end", ghost="end", out=tmp_path)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_level_that_a_stream_has_often_counts_once_in_findings(tmp_path):
     class Few(Stream):
         def reset(self, *, seed=None, options=None):

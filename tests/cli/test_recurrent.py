@@ -110,7 +110,12 @@ VERBS = (
 
 @pytest.mark.filterwarnings("ignore:Use 'content=<...>':DeprecationWarning")  # of huggingface_hub
 @pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.__name__)
-def test_a_verb_takes_an_agent_with_memory(verb, astray, agent, tmp_path, coarse, monkeypatch):
+def test_a_verb_takes_an_agent_with_memory(
+    verb, astray, agent, tmp_path, coarse, monkeypatch, request
+):
+    if verb in (compared, audited):  # `recorded` has a video
+        request.getfixturevalue("undrawn")
+
     def here(todo, *_):
         for run, config in todo.items():
             train(config, run, progress=False)

@@ -159,6 +159,7 @@ def test_the_largest_difference_of_many_pairs_has_an_interval_for_the_largest():
     assert np.mean(held) >= 0.92
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_agents_of_the_same_outcomes_have_no_level_in_which_they_differ(tmp_path):
     also = Function(go_right, "also right")
     page = compare([Function(go_right, "right"), also], WORLD, "end", range(9), tmp_path / "page")
@@ -167,6 +168,7 @@ def test_agents_of_the_same_outcomes_have_no_level_in_which_they_differ(tmp_path
     assert "the first in which most" not in told
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_video_of_actions_that_are_drawn_anew_says_so(tmp_path):
     random = np.random.default_rng(0)
     drawn = Function(lambda seen: random.integers(0, 2, len(seen)), "drawn")
@@ -175,6 +177,7 @@ def test_a_video_of_actions_that_are_drawn_anew_says_so(tmp_path):
     assert "differ. Played again for this video, drawn did otherwise." in told
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_in_a_shift_without_proxies_the_intended_goal_is_compared(tmp_path):
     world = replace(WORLD, shifts={"end": Shift("end", "anywhere", "square", ())})
     left = Function(lambda seen: np.zeros(len(seen), int), "left")

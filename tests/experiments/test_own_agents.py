@@ -222,6 +222,7 @@ def test_an_agent_that_another_study_has_trained_meanwhile_is_taken(tmp_path):
     assert [list(path.iterdir()) for path in runs] == [[], [runs[1] / "agent.txt"]]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_code_that_is_edited_while_agents_are_trained_is_not_what_measured(tmp_path, monkeypatch):
     source, text = tmp_path / "measuring.py", "def far(states):\n    return [{}] * len(states)\n"
 

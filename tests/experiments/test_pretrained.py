@@ -172,6 +172,7 @@ def test_a_kept_agent_stands_for_its_run_folder(astray, run, mouse, tmp_path):
     assert "mouse: maze, trained on corner-small" in astray("list")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_card_of_a_life_without_end_is_about_the_test_alone(tmp_path):
     run = shutil.copytree(folders.find("trees-life"), tmp_path / "run")
     keep.write_card("woodcutter", run, "season", levels=4)
@@ -179,6 +180,7 @@ def test_the_card_of_a_life_without_end_is_about_the_test_alone(tmp_path):
     assert "| `season` | the agent |" in card and "| `life` |" not in card
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_card_tells_of_levels_once_where_all_distinguish_the_goals(tmp_path):
     run = shutil.copytree(folders.find("bridge-middle"), tmp_path / "run")
     keep.write_card("robot", run, "up", levels=4)
@@ -186,12 +188,14 @@ def test_a_card_tells_of_levels_once_where_all_distinguish_the_goals(tmp_path):
     assert "| `up` | the agent |" in card and "distinguishing" not in card
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_card_of_who_is_tested_where_it_was_trained_says_so(tmp_path):
     run = shutil.copytree(folders.find("tomatoes-bucket"), tmp_path / "run")
     keep.write_card("gardener", run, "bucket", levels=4)
     assert "they come apart on `bucket`, where it was trained." in (run / "README.md").read_text()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_card_of_who_was_trained_elsewhere_says_where_the_goals_agree(tmp_path):
     """It said that they agree where the agent was trained, which is in neither of the variants."""
     run = shutil.copytree(folders.find("supervisor-half"), tmp_path / "run")
