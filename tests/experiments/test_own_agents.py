@@ -24,7 +24,7 @@ from astray.experiments import outcomes, run, spec
 from astray.experiments.run import inputs, make_own, own_runs, reproduce, resolved
 from astray.experiments.spec import Experiment, OwnAgents, Plan
 from astray.files import hold
-from astray.game import Shift
+from astray.game import More, Shift
 from astray.training.config import Config
 from helpers.edits import forget
 from helpers.lava import GAME as LAVA
@@ -199,6 +199,22 @@ def test_agents_and_tables_are_computed_anew_where_a_function_carries_another_va
         measured = replace(plan, measures={"far": carrying(way, rate)})
         digests.append(inputs(measured, {"right": folders[0]})[1])
     assert folders[0] == folders[1] != folders[2]
+    assert digests[0] == digests[1] != digests[2]
+
+
+@pytest.mark.parametrize("way", ["event", "bound"])
+def test_tables_of_agents_trained_here_are_computed_anew_where_a_world_carries_another_value(way):
+    digests = []
+    for given in (2.0, 2.0, 3.0):
+        late = partial(lambda than, env, info: False, given if way == "event" else 0)
+        goals = WORLD.goals | {"long": More("no", given if way == "bound" else 0)}
+        events, no = {**WORLD.events, "late": late}, {**WORLD.measures, "no": lambda env: 0.0}
+        world = replace(WORLD, name="carries", events=events, goals=goals, measures=no)
+        config = Config(world, "end")
+        plan = Plan(
+            agents={"a": config}, tests=spec.tests_of(world, "end"), levels=3, differences=""
+        )
+        digests.append(inputs(plan, {})[1])
     assert digests[0] == digests[1] != digests[2]
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import polars as pl
 import torch
 
-from astray import provenance
+from astray import games, provenance
 from astray.analysis.outcomes import load_shift
 from astray.envs.compiled import loop_of
 from astray.envs.worlds import shown_first
@@ -347,7 +347,8 @@ def inputs(plan: Plan, runs: Runs, whole: Experiment | None = None) -> tuple[byt
         if len({*made}) < len(made):  # intervals would be too narrow
             told = f"two of {', '.join(map(str, runs[name]))} are one agent; remove one"
             raise ValueError(f"{told}, or let its training use a seed of its own")
-    played = [plan.world, *(one.load for one in plan.own.values())]
+    theirs = [c.find_game() for c in plan.agents.values() if c.game not in games.OWN]
+    played = [plan.world, theirs, *(one.load for one in plan.own.values())]
     data = {
         "configs": {n: [c.identity() for c in made] for n, made in plan.trainings().items()},
         "published": [read_config(runs[n][0]).identity() for n in runs if n in plan.published],
