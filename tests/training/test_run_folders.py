@@ -187,6 +187,18 @@ def test_a_home_folder_of_another_user_has_no_agents(tmp_path, monkeypatch):
     assert folders.AgentFolder.open("maze-corner").weights.is_file()
 
 
+def test_who_has_no_home_folder_has_the_agents_that_come_with_astray(monkeypatch):
+    def homeless(*_):
+        raise RuntimeError("could not determine the home directory")
+
+    monkeypatch.delenv("ASTRAY_AGENTS", raising=False)
+    monkeypatch.setattr(folders.platformdirs, "user_data_path", homeless)
+    assert folders.imported() == [] and "maze-corner" in folders.names()
+    assert folders.AgentFolder.open("maze-corner").weights.is_file()
+    with pytest.raises(RuntimeError, match="home"):
+        folders.check_new("mine")
+
+
 def test_a_file_that_shrinks_does_not_kill_who_has_read_it(tmp_path):
     shutil.copytree(folders.find("maze-corner"), tmp_path / "mouse")
     weights = folders.AgentFolder.open(tmp_path / "mouse").weights

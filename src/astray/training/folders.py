@@ -198,8 +198,10 @@ def pretrained() -> list[str]:
 
 
 def imported() -> list[str]:
-    """Return the names of all imported and pulled agents."""
-    return _names(home())
+    """Return the names of all imported and pulled agents; none if the user has no home folder."""
+    with contextlib.suppress(RuntimeError):
+        return _names(home())
+    return []
 
 
 def names() -> list[str]:
@@ -209,9 +211,10 @@ def names() -> list[str]:
 
 def find(name: str) -> Path:
     """Return the run folder of a named agent; raise ValueError if there is none."""
-    for one in (PRETRAINED, home()):
-        if name in _names(one):
-            return one / name
+    if name in pretrained():
+        return PRETRAINED / name
+    if name in imported():
+        return home() / name
     raise ValueError(f"unknown agent {name!r}; there are: {', '.join(names()) or 'none yet'}")
 
 
