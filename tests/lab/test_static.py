@@ -300,6 +300,16 @@ def test_at_the_end_of_an_episode_nothing_says_which_actions_do_the_same(page):
             assert told["policy"] and ("same" in told) == compared
 
 
+def test_of_several_objects_a_splay_takes_none_that_is_not_named(page):
+    splay = """async () => {
+      const { splayed } = await import(new URL("engine/levels.js", location.href));
+      const about = { legend: { G: 2 }, objects: { goal: "G" } };
+      const level = { grid: [[2, 2]] };
+      try { splayed({ level }, "goal", null, about); } catch ({ message }) { return message; }
+    }"""
+    assert page.evaluate(splay) == "which goal?"  # as `Level.splay` asks
+
+
 def test_a_splay_is_that_of_python(page):
     here, there = both(page, kind="splay", **MAZE, level=3, thing="goal", draws=2)
     assert dict(zip(map(tuple, here["cells"]), here["outcomes"], strict=True)) == dict(

@@ -100,7 +100,8 @@ export function splayed({ level, kind, rules }, thing, at, about) {
   const code = about.legend[about.objects[thing]];
   let where = null;
   if (thing !== "agent") {
-    where = at ?? cellsOf(grid, code)[0];
+    const there = cellsOf(grid, code);
+    where = at ?? (there.length === 1 ? there[0] : null);
     if (!where || grid[where[1]][where[0]] !== code) throw new Error(`which ${thing}?`);
     lifted[where[1]][where[0]] = 0;
   }
