@@ -275,7 +275,8 @@ def _module(root: Root) -> tuple[str, ModuleSpec | None, object]:
         there = root.__globals__  # of a file that was run, too, which no name leads to
     else:
         name = root.__name__ if isinstance(root, ModuleType) else root.__module__
-        there = vars(sys.modules[name]) if name in sys.modules else {"__name__": name}
+        module = sys.modules.get(name)  # NumPy imports only on demand what it names as a class's
+        there = vars(module) if module else {"__name__": name, "__spec__": _place(name)}
     name, spec, path = there["__name__"], there.get("__spec__"), there.get("__file__")
     loaded = spec or there  # a script is run with other names each time
     if spec is None and path:
