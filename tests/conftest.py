@@ -11,6 +11,12 @@ import pytest
 # Fixtures import what they need: the process that hands tests to the others needs none of it.
 
 
+def pytest_collection(session):
+    """Import what pytest would import apart, as the parent of the tests within it."""
+    if not session.config.pluginmanager.hasplugin("dsession"):  # which hands tests out
+        import astray.games  # noqa: F401
+
+
 def pytest_configure():
     """Garbage is looked for less often: among a million objects that takes half a second.
 
