@@ -17,7 +17,7 @@ from astray.cli.distil import distil
 from astray.training import checkpoint, loop, ppo, teacher
 from astray.training.config import LeftOut
 from astray.training.fast import acceleration
-from astray.training.folders import TEACHER
+from astray.training.folders import TEACHER, AgentFolder
 from astray.training.loop import collect, improve, train
 from astray.training.teacher import Taught
 from astray.training.trainer import Trainer
@@ -197,6 +197,8 @@ def test_the_verb_distils_from_an_agent_by_name(tmp_path, monkeypatch):
         "corner-small",
     )
     assert checkpoint.finished(run, config)
+    # Its values are the teacher's, in another unit than that of the rewards that it met.
+    assert AgentFolder.open(run).deviation() is None
 
 
 def test_a_sampler_that_learns_from_scores_has_no_students():

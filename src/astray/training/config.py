@@ -207,6 +207,11 @@ class Config:
         return self.num_envs * self.num_steps
 
     @property
+    def learns_values_of_teacher(self) -> bool:
+        """Whether values are an agent's, in the unit of its rewards; others are of rewards."""
+        return self.teacher not in (None, SOLVER) and self.taught == 1
+
+    @property
     def iterations(self) -> int:
         return -(-self.steps // self.batch)
 

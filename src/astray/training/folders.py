@@ -111,11 +111,12 @@ class AgentFolder:
     def deviation(self) -> float | None:
         """Return the reward-normalisation scale at the checkpoint.
 
-        It is None if rewards were not normalised or the scale is unknown. The agent's values are
-        in this unit. A training's last two checkpoints have it, and so do agents kept from one of
-        them.
+        It is None if rewards were not normalised or the scale is unknown, as that of values which
+        a student learned from its teacher alone. The agent's values are in this unit. A training's
+        last two checkpoints have it, and so do agents kept from one of them.
         """
-        if not self.config().normalise_reward:
+        config = self.config()
+        if not config.normalise_reward or config.learns_values_of_teacher:
             return None
         try:
             trainer = self.weights.with_name(TRAINER)

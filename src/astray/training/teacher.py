@@ -131,7 +131,8 @@ class Teacher(Lessons):
 
     def samples(self) -> Taught:
         made = super().samples()
-        return replace(made, target=self._value) if self.config.taught == 1 else made
+        is_whole = self.config.learns_values_of_teacher
+        return replace(made, target=self._value) if is_whole else made
 
     def says(self, t: int, begins: np.ndarray) -> Tensor:
         observations = torch.from_numpy(self.shown()).to(self.config.device)
