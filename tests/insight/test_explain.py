@@ -1,7 +1,9 @@
 """The page about an agent in a level, and an episode from within."""
 
 import io
+import json
 import re
+import shutil
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -19,6 +21,7 @@ from astray.analysis.runs import open_run
 from astray.games.maze.measures import decision
 from astray.insight import explain, field_figures
 from astray.insight.episode import STILL, along, figure
+from astray.lab.agents import Agents
 from astray.lab.goals import TELLING, distinguishing, typical
 from astray.level import Level
 from astray.report.page import code
@@ -336,6 +339,19 @@ def test_probes_learn_from_other_levels_and_advantages_are_those_of_the_training
         assert len(given[-1].others) == len({*given[-1].others}) == 6
         assert (given[-1].gamma, given[-1].lam) == (config.gamma, config.lam) != (0.999, 0.95)
         assert given[-1].deviation is None  # it was kept before this was
+
+
+def test_values_of_a_reward_of_one_s_own_are_said_to_be_so(astray, tmp_path, monkeypatch):
+    given = []
+    monkeypatch.setattr(explain, "explain", lambda asked, *_, **_options: given.append(asked))
+    shutil.copytree(folders.find("maze-corner"), run := tmp_path / "run")
+    data = json.loads((run / folders.CONFIG).read_text())
+    data["config"]["reward"] = "mine:speedy"
+    (run / folders.CONFIG).write_text(json.dumps(data))
+    astray("explain", run, "--num-levels", 6, "--level", 3, "--out", tmp_path)
+    about = Agents.of({"mouse": run}).about("mouse")
+    for said in (given[0].why, about["caveat"]):
+        assert said.startswith("Its values are of the reward mine:speedy; advantages mix")
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,7 @@ def explain(
     if config and isinstance(agent, Agent):
         deviation = AgentFolder.of(agent.path).deviation()
         told |= {"gamma": config.gamma, "lam": config.lam, "deviation": deviation}
+        told["why"] = f"{why} {config.caveat}".strip()
     asked = Asked(agent, levels, drawn, named, reads, np.array(after), **told)
     who = player.agent.name if player.agent else policy.name
     print(write(asked, out, f"{who} in {game.name} {where}", progress=True))

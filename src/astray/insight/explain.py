@@ -51,7 +51,7 @@ class Asked:
         gamma, lam: Discount and lambda of its training, for advantages.
         deviation: Reward-normalisation scale of its training.
         lab: Command that opens the level in the lab.
-        why: Sentence on the choice of the level, if it was chosen.
+        why: Sentences on the choice of the level, if it was chosen, and on what its values are of.
     """
 
     agent: Model | Opaque

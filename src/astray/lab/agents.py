@@ -137,6 +137,7 @@ class Agents:
             "knobs": {name: changed for name, changed in knobs.items() if changed},
             "gamma": config.gamma, "lam": config.lam,
             "reward_deviation": self._opened[name][2],
+            "caveat": f"{agent.caveat} {config.caveat}".strip(),
         }  # fmt: skip
 
 

@@ -248,7 +248,7 @@ def _write_agent(
     index, data = table(agent, game, variant, levels)
     _write(folder / "agents" / f"{name}.json", index)
     _write(folder / "agents" / f"{name}.bin", data)
-    told |= {"variants": [told["test"]], "caveat": ROUNDED}
+    told |= {"variants": [told["test"]], "caveat": f"{ROUNDED} {config.caveat}".strip()}
     told["table"] = {"path": f"data/agents/{name}.json", "bytes": f"data/agents/{name}.bin"}
 
 

@@ -212,6 +212,12 @@ class Config:
         return self.teacher not in (None, SOLVER) and self.taught == 1
 
     @property
+    def caveat(self) -> str:
+        """Return a sentence on what its values are of, if not of the game's rewards; else ""."""
+        told = f"Its values are of the reward {self.reward}; advantages mix them with the game's."
+        return told if self.reward else ""
+
+    @property
     def iterations(self) -> int:
         return -(-self.steps // self.batch)
 
