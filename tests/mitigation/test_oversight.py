@@ -200,6 +200,8 @@ def test_the_dearer_a_query_the_fewer_are_worth_it():
     table = curves([(np.inf, 0.0, 2.0, 0.0), (-np.inf, 1.0, 10.0, 8.0), (1.0, 0.25, 7.0, 2.0)])
     best = net_returns(table, [0.0, 1.0, 3.0])
     assert best["net"].to_list() == [10.0, 5.0, 2.0] and best["queries"].to_list() == [8, 2, 0]
+    alike = pl.concat([table, curves([(2.0, 0.5, 10.0, 4.0)])])
+    assert net_returns(alike, [0.0])["queries"].to_list() == [4]  # of equals, the cheapest
     with pytest.raises(ValueError, match="a cost must be a finite number from 0 on; got -1"):
         net_returns(table, [-1.0])
 

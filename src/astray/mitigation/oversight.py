@@ -220,7 +220,7 @@ def area(curves: pl.DataFrame) -> pl.DataFrame:
 
 
 def net_returns(curves: pl.DataFrame, costs: Sequence[float]) -> pl.DataFrame:
-    """Return the best net return of each score for each cost of a query.
+    """Return the best net return of each score for each cost of a query, with fewest queries.
 
     Columns: score, granularity, cost, net (return minus cost of queries, per level), queries,
     percentile (of the best threshold; null for no or full help).
@@ -233,7 +233,7 @@ def net_returns(curves: pl.DataFrame, costs: Sequence[float]) -> pl.DataFrame:
         net = curves.with_columns(
             cost=pl.lit(float(cost)), net=pl.col("return") - cost * pl.col("queries")
         )
-        best = net.sort("net", descending=True).group_by(
+        best = net.sort("net", -pl.col("queries"), descending=True, maintain_order=True).group_by(
             ["score", "granularity"], maintain_order=True
         )
         rows.append(best.first())
