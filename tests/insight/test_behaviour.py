@@ -182,3 +182,10 @@ def test_intervals_of_coefficients_hold_weak_effects_of_few_levels(times):
         assert row["low"] < row["high"] and row["low"] <= row["coefficient"] <= row["high"]
         hits += row["low"] <= effect * x.std() <= row["high"]
     assert hits / times > 0.85
+
+
+def test_an_outcome_is_rare_and_not_in_one_fold_alone():
+    random = np.random.default_rng(0)
+    rows = pl.DataFrame({"rare": np.arange(30) < 5, "reach": random.normal(size=30)})
+    found = predict(rows, "rare", ["reach"], seed=1657)  # whose first folds have all five in one
+    assert found.levels == 30 and found.outcomes.sum() == 5

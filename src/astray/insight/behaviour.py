@@ -148,6 +148,8 @@ def predict(
     x = (x - x.mean(0)) / deviation
     random = np.random.default_rng(seed)
     fold = random.permutation(np.arange(len(y)) % FOLDS)
+    while any(np.ptp(y[fold != k]) == 0 for k in range(FOLDS)):  # a fit needs both outcomes
+        fold = random.permutation(fold)
     strength = max(PENALTIES, key=lambda c: _left_out(x, y, fold, model(C=c))[1])
     chances, _ = _left_out(x, y, fold, model(C=strength))
 
