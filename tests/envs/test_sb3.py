@@ -33,6 +33,15 @@ def test_the_adapter_passes_everything_on():
     assert seen == {False, True}
 
 
+def test_the_adapter_renders_as_its_environment_does():
+    sb3 = pytest.importorskip("astray.envs.sb3")
+    how = {"autoreset_mode": "SameStep", "render_mode": "rgb_array"}
+    adapter = sb3.GameVecEnv(GameVectorEnv("maze", "corner-small", 2, **how))
+    adapter.reset()
+    assert np.array_equal(adapter.get_images(), adapter.env.render())
+    assert adapter.render().shape == (1024, 512, 3)  # one below the other, for VecVideoRecorder
+
+
 def test_the_adapter_refuses_other_resets():
     sb3 = pytest.importorskip("astray.envs.sb3")
     with pytest.raises(ValueError, match="needs SAME_STEP"):

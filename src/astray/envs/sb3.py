@@ -59,6 +59,9 @@ class GameVecEnv(VecEnv):
             infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
         return observations, reward.astype(np.float32), done, infos
 
+    def get_images(self) -> list[np.ndarray]:
+        return [*(self.env.render() or ())]
+
     def close(self) -> None:
         self.env.close()
 
