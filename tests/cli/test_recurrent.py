@@ -65,11 +65,10 @@ def kept(astray, agent, out):
 
 
 def pushed(astray, agent, out):
-    from huggingface_hub import HfApi, constants
+    from huggingface_hub import HfApi
 
     with running() as server, pytest.MonkeyPatch.context() as patch:
         patch.setenv("HF_TOKEN", WRITER)
-        patch.setattr(constants, "HF_HUB_DISABLE_XET", True)
         patch.setattr(hub, "_api", lambda _: HfApi(endpoint=server.address))
         astray("push", agent, "ada/elephant")
         repository = server.repositories["ada/elephant"]

@@ -34,7 +34,6 @@ def server(monkeypatch, tmp_path):
     monkeypatch.setenv("HF_TOKEN", WRITER)
     monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path / "agents"))
     monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
     monkeypatch.setattr(constants, "HF_HUB_DOWNLOAD_TIMEOUT", 5)
     with running() as hub:
         at(hub.address, monkeypatch)

@@ -29,7 +29,6 @@ def hub(monkeypatch, tmp_path):
     monkeypatch.setenv("HF_TOKEN", WRITER)
     monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path / "agents"))
     monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
     monkeypatch.setattr(constants, "HF_HUB_DOWNLOAD_TIMEOUT", 5)
     monkeypatch.setattr("time.sleep", lambda _: None)  # of the library's, between its tries
     (tmp_path / "mine").write_text(MINE)
@@ -309,3 +308,13 @@ def test_what_a_hub_says_of_other_programs_is_not_kept(hub, monkeypatch, tmp_pat
     ask()
     assert not any("harnesses" in asked for asked in hub.requests)
     assert not constants.HF_HUB_DISABLE_TELEMETRY
+
+
+@pytest.mark.parametrize("ask", [lambda: ours.pull("ada/mouse"), lambda: push("ada/new")])
+def test_no_other_library_speaks_with_the_hub(hub, monkeypatch, ask):
+    """Xet's, which nobody watches: a silent Hub held it for ever, and it told of its errors."""
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_DISABLE_XET", False)
+    hub.requests.clear()
+    ask()
+    assert hub.requests and not any("xet" in asked for asked in hub.requests)
+    assert not huggingface_hub.constants.HF_HUB_DISABLE_XET

@@ -171,11 +171,15 @@ def wary(pushes: bool = False) -> Iterator[Wary]:
     with ONE:
         made = _http._GLOBAL_CLIENT_FACTORY  # of the user's, with their proxies and certificates
         set_client_factory(make)
-        telemetry, constants.HF_HUB_DISABLE_TELEMETRY = constants.HF_HUB_DISABLE_TELEMETRY, True
-        try:  # for telemetry it would keep what any Hub sends, and fail for a day where that is odd
+        # For telemetry it would keep what any Hub sends, and fail for a day where that is odd.
+        # Xet's bytes go by another library, which nobody watches, and which waits for minutes.
+        unwanted = "HF_HUB_DISABLE_TELEMETRY", "HF_HUB_DISABLE_XET"
+        before = {name: getattr(constants, name) for name in unwanted}
+        vars(constants).update(dict.fromkeys(unwanted, True))
+        try:
             yield seen
         finally:
-            constants.HF_HUB_DISABLE_TELEMETRY = telemetry
+            vars(constants).update(before)
             set_client_factory(made)
 
 
