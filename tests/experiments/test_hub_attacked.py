@@ -318,3 +318,11 @@ def test_no_other_library_speaks_with_the_hub(hub, monkeypatch, ask):
     ask()
     assert hub.requests and not any("xet" in asked for asked in hub.requests)
     assert not huggingface_hub.constants.HF_HUB_DISABLE_XET
+
+
+def test_a_commit_that_is_no_name_is_not_printed(hub, monkeypatch):
+    """As what a terminal takes for a command."""
+    told = {"commitUrl": f"{hub.address}/ada/mouse", "commitOid": "\x1b[2J"}
+    monkeypatch.setattr("helpers.hub_server.Handler.commit", lambda it, *_: it.answer(200, told))
+    with pytest.raises(ValueError, match=r"a revision must be .*; got '\\x1b\[2J'"):
+        push("ada/mouse")

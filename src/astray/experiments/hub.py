@@ -109,6 +109,7 @@ def push(
                 commit_message=f"An agent of {_slug(repository)}",
                 delete_patterns=["checkpoints/*"],
             )
+            _check_name(repository, made.oid)  # which is printed
     return Commit(repository, made.oid, f"{api.endpoint}/{repository}")
 
 
