@@ -718,6 +718,20 @@ def test_nothing_is_written_over_and_nothing_outside(tmp_path):
     assert list(names.values()) == ["maze-corner", "mice-seed-0", "mice-seed-0-2", "agent"]
 
 
+def test_a_folder_that_is_filled_meanwhile_stays_as_it_is(tmp_path, monkeypatch):
+    """As by another export: the system's error named the folder twice."""
+    one = tmp_path / "site" / "index.html"
+
+    def write(*_):
+        one.parent.mkdir()
+        one.write_text("mine")
+
+    monkeypatch.setattr("astray.lab.export._write_data", write)
+    with pytest.raises(FileExistsError, match="must be new, or an empty folder"):
+        export(usual_lab(), one.parent, levels=1)
+    assert one.read_text() == "mine" and [*tmp_path.iterdir()] == [one.parent]
+
+
 def test_replay_and_the_page_agree_on_an_episode(page):
     actions = [7, 5, 5, 1, 8, 3, 7]
     here, _ = both(page, kind="play", **MAZE, level=6, actions=actions)

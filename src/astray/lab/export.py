@@ -78,7 +78,7 @@ def export(
     of_kind("lab", lab, Lab)
     folder = path_of("folder", folder)
     bounded("levels", levels, 1, 10_000)
-    is_there = check_empty(folder)
+    check_empty(folder)
     chosen = check_exportable(lab, agents, further := games or {})
     with folder_aside(folder) as aside:
         for path, (data, _) in files().items():
@@ -86,7 +86,7 @@ def export(
                 _write(aside / path, data.replace(b'engine="socket"', b'engine="static"'))
         _write(aside / rules.SHARED, rules.shared())
         _write_data(lab, aside / "data", levels, chosen, further)
-        if is_there:
+        if check_empty(folder):  # another export may have filled it meanwhile
             folder.rmdir()
         aside.rename(folder)
 
