@@ -284,6 +284,7 @@ def test_a_hub_that_answers_a_push_with_silence_is_not_waited_for(hub, monkeypat
         ({"Link": '<{}/x>; rel="next"'}, b"[]", "answers have more than 33,554,432 bytes"),
         ({"Content-Encoding": "gzip"}, b"[]", "is compressed by 'gzip', unasked"),
         ({}, b"<html>", "no Hub answers so: JSONDecodeError"),
+        ({}, b"[" * 100_000, "no Hub answers so: RecursionError"),
     ],
 )
 def test_answers_to_a_push_are_limited(hub, monkeypatch, headers, body, said):

@@ -234,7 +234,7 @@ def reached(repository: str, revision: str | None, what: str, lacking: str) -> I
         raise OSError(
             f"{of} cannot be {what}: the connection failed ({brief(error)}){onward}"
         ) from error
-    except (LookupError, TypeError, AttributeError, json.JSONDecodeError) as error:
+    except (LookupError, TypeError, AttributeError, json.JSONDecodeError, RecursionError) as error:
         # of the library, which trusts it
         raise ValueError(f"{of} cannot be {what}: no Hub answers so: {error!r}") from error
     except (OSError, ValueError) as error:
