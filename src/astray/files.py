@@ -120,7 +120,7 @@ def remove_made(folders: Iterable[Path]) -> None:
 
 
 def check_own(path: Path) -> None:
-    """Raise OSError if `path` is anything but a file that a file of this user may replace."""
+    """Raise OSError unless `path` is free, or a file that this user may replace."""
     if path.is_symlink():  # as /dev/stdout, or what leads to the user's other disk
         raise OSError(f"{path} must be a file to write; it is a link")
     if path.is_dir():

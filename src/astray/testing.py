@@ -284,7 +284,7 @@ def check_mutation(game: Game, variant: Variant) -> None:
 def check_solver(game: Game, variant: Variant) -> None:
     """Check that experts obtain the solver's optimal return, and never more.
 
-    They end in cells that the agent can reach, and get a single reward as soon as is possible.
+    They end in cells that the agent can reach, and earn a single reward as soon as possible.
     """
     if not game.solver:
         return

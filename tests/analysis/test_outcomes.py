@@ -198,7 +198,7 @@ def test_the_intended_goal_is_no_proxy_of_itself():
 
 
 def test_agents_of_other_levels_or_tests_of_other_agents_are_not_paired():
-    """Of as many levels each, they were compared in different ones."""
+    """Each has as many levels, so they were compared in different ones."""
 
     def told(test, seed, levels):
         rows = {"level": levels, "outcome": [INTENDED, MISGENERALIZED]}

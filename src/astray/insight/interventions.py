@@ -237,8 +237,8 @@ def place(agent: Model, variant: Variant, cell: Cell, shape: Sequence[int]) -> t
     of_kind("variant", variant, Variant)
     of_kind("shape", shape, Sequence)
     if not sees_world(variant):
-        told = "of variants with a knob `world` that is wholly seen; here, give patch the layer's"
-        raise ValueError(f"place finds cells {told} row and column")
+        told = "place finds a cell where `world` is a knob of the variant, and all of it is seen"
+        raise ValueError(f"{told}; here, give patch the layer's row and column")
     if len(shape) != 3:
         raise ValueError(f"the layer has no places; its activations have the shape {tuple(shape)}")
     p: Any = variant

@@ -208,7 +208,7 @@ class Config:
 
     @property
     def learns_values_of_teacher(self) -> bool:
-        """Whether values are an agent's, in the unit of its rewards; others are of rewards."""
+        """Return whether its values are a teaching agent's, in the unit of that agent's rewards."""
         return self.teacher not in (None, SOLVER) and self.taught == 1
 
     @property
