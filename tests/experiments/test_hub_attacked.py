@@ -266,12 +266,17 @@ def push(repository):
 )
 def test_a_hub_that_answers_a_push_with_silence_is_not_waited_for(hub, monkeypatch, method, said):
     monkeypatch.setattr(download, "WAIT", 1.0)
-    silent = f"helpers.hub_server.Handler.do_{method}"
-    monkeypatch.setattr(silent, lambda _: threading.Event().wait(60))
+    over = threading.Event()
+
+    def be_silent(handler):
+        handler.close_connection = over.wait(60)
+
+    monkeypatch.setattr(f"helpers.hub_server.Handler.do_{method}", be_silent)
     begun = time.monotonic()
     with pytest.raises(OSError, match=rf"^ada/new cannot be pushed: .*{said}"):
         push("ada/new")
     assert time.monotonic() - begun < 60
+    over.set()
     for thread in threading.enumerate():  # which closes its socket as it ends
         if thread.name.endswith("(run)"):
             thread.join(20)
@@ -281,7 +286,7 @@ def test_a_hub_that_answers_a_push_with_silence_is_not_waited_for(hub, monkeypat
     "headers, body, said",
     [
         ({}, b" " * 2**26, "answers have more than 33,554,432 bytes"),
-        ({"Link": '<{}/x>; rel="next"'}, b"[]", "answers have more than 33,554,432 bytes"),
+        ({"Link": '<{}/x>; rel="next"'}, b"[]" + b" " * 2**20, "have more than 33,554,432 bytes"),
         ({"Content-Encoding": "gzip"}, b"[]", "is compressed by 'gzip', unasked"),
         ({}, b"<html>", "no Hub answers so: JSONDecodeError"),
         ({}, b"[" * 100_000, "no Hub answers so: RecursionError"),

@@ -52,6 +52,7 @@ class Hub:
 
 class Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True  # which holds what follows the headers for 40 ms
     hub: Hub
 
     def log_message(self, *_):
