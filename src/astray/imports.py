@@ -82,7 +82,8 @@ class _Lent:
                     (torch := sys.modules["torch"]).set_default_dtype(self.dtype or torch.float32)
                 for module, own in self.standard:
                     vars(module).update(own)
-                logging.disable(self.muted)
+                if LOG.manager.disable != self.muted:  # else loggers look anew for theirs
+                    logging.disable(self.muted)
                 if self.output:
                     with contextlib.suppress(AttributeError, OSError, ValueError):
                         sys.__stdout__.flush()  # pyrefly: ignore

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import functools
 import hashlib
 import json
+import ssl
 import threading
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from unittest import mock
 from urllib.parse import parse_qs, unquote, urlsplit
 
 WRITER, READER = "hf_writer", "hf_reader"  # tokens
+CERTIFICATES = functools.cache(ssl.create_default_context)  # each client would read all of them
 
 
 @dataclass
@@ -266,7 +270,8 @@ def running():
     thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
     thread.start()
     try:
-        yield hub
+        with mock.patch("ssl.create_default_context", CERTIFICATES):
+            yield hub
     finally:
         server.shutdown()
         server.server_close()
