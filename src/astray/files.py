@@ -184,16 +184,9 @@ def folder_aside(path: Path, told: Path | None = None) -> Iterator[Path]:
         remove_made(made)
 
 
-@contextlib.contextmanager
-def files_aside(folder: Path, mark: str, sign: bytes) -> Iterator[Path]:
-    """Yield a new folder, whose files get to `folder` on success, and on failure none of them.
-
-    Those that killed processes left, whose locks are free or not there yet, are removed.
-
-    Raises:
-        OSError: As `check_free` does, for the names of the files.
-    """
-    for left in folder.glob(f".{mark}.*"):
+def remove_killed(path: Path) -> None:
+    """Remove folders beside `path` that killed processes left: their locks are free or missing."""
+    for left in path.parent.glob(f".{path.name}.*"):
         if not ASIDE.fullmatch(left.name) or left.is_symlink():
             continue
         if (left / LOCK).exists():
@@ -202,6 +195,18 @@ def files_aside(folder: Path, mark: str, sign: bytes) -> Iterator[Path]:
         else:
             with contextlib.suppress(OSError):  # it is a file, or holds something
                 left.rmdir()
+
+
+@contextlib.contextmanager
+def files_aside(folder: Path, mark: str, sign: bytes) -> Iterator[Path]:
+    """Yield a new folder, whose files get to `folder` on success, and on failure none of them.
+
+    Those that killed processes left are removed.
+
+    Raises:
+        OSError: As `check_free` does, for the names of the files.
+    """
+    remove_killed(folder / mark)
     with folder_aside(folder / mark, folder) as aside, hold(aside, "writes"):
         yield aside
         check_free(folder, mark, sign, {*os.listdir(aside)} - {LOCK})

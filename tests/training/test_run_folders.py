@@ -2,6 +2,8 @@
 
 import os
 import shutil
+import subprocess
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -210,3 +212,28 @@ def test_a_file_that_shrinks_does_not_kill_who_has_read_it(tmp_path):
     )
     code, out, err = begin(program, tmp_path).ended()
     assert code == 0 and "True" in out, err
+
+
+def test_what_a_killed_keep_left_is_removed_by_the_next_of_its_name(tmp_path):
+    killed = """
+import os, sys
+from pathlib import Path
+from astray.training.folders import made
+with made(Path(sys.argv[1]), "mouse") as aside:
+    (aside / "checkpoints").mkdir()
+    (aside / "config.json").write_text("{}")
+    os.kill(os.getpid(), 9)
+"""
+    subprocess.run([sys.executable, "-c", killed, tmp_path])
+    assert len([*tmp_path.glob(".mouse.*")]) == 1
+    with folders.made(tmp_path, "mouse") as aside:
+        (aside / "config.json").write_text("{}")
+        with folders.made(tmp_path, "mouse") as other:
+            (other / "config.json").write_text("sooner")
+        assert (aside / "config.json").exists()
+        with pytest.raises(ValueError, match="there is an agent 'mouse' already"):
+            folders.check_new("mouse", tmp_path)
+        os.replace(tmp_path / "mouse", tmp_path / "mouse-2")
+    assert sorted(path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")) == [
+        "mouse", "mouse-2", "mouse-2/config.json", "mouse/config.json"
+    ]  # fmt: skip
