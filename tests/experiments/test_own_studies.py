@@ -51,9 +51,31 @@ def test_two_files_of_one_name_are_not_reproduced_into_one_report(tmp_path, monk
         run.reproduce_each([str(path) for path in paths], "smoke", tmp_path / "reports")
 
 
-def noted(plan, folder):
+@pytest.mark.parametrize("first", ["here/mine_twice.py", "maze-corner"])
+def test_another_study_of_that_name_does_not_replace_the_report_of_the_first(
+    first, tmp_path, monkeypatch
+):
+    source = "from astray.experiments.catalogue import load\nEXPERIMENT = load('maze-corner')"
+    name = first.rpartition("/")[2].removesuffix(".py")
+    paths = [tmp_path / where / f"{name}.py" for where in ("here", "there")]
+    for path in paths:
+        path.parent.mkdir()
+        path.write_text(source)
+    monkeypatch.setattr(run, "train_agents", lambda *_: pytest.fail("trained"))
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / f"{name.replace('_', '-')}-smoke"
+    noted(replace(catalogue.load("maze-corner").sizes["smoke"], seeds=1), folder, first)
+    with pytest.raises(ValueError, match=r"has the report of .*, which .*there.*would share; renam"):
+        run.reproduce(str(paths[1]), "smoke", tmp_path)
+    run.check_study(folder, catalogue.origin(first))
+    paths[0].unlink()  # as of a study that was moved
+    run.check_study(tmp_path / "mine-twice-smoke", catalogue.origin(f"{paths[1]}"))
+
+
+def noted(plan, folder, first=None):
+    folder.mkdir(exist_ok=True)
     text, digest = run.inputs(plan, {}, catalogue.load("maze-corner"))
-    run.note(text, digest, folder)
+    run.note(text, digest, folder, first and catalogue.origin(first))
     return digest
 
 

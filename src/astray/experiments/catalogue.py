@@ -6,6 +6,7 @@ in other modules or files; `find` accepts them too.
 
 import importlib
 import importlib.util
+import os
 import re
 import sys
 import traceback
@@ -66,6 +67,16 @@ def find(experiment: str | Experiment) -> tuple[str, Experiment]:
     if not isinstance(study, Experiment):
         raise ValueError(f"{experiment} must be an Experiment; got {study!r}")
     return study.name or slug(name), study
+
+
+def origin(experiment: str | Experiment) -> str | None:
+    """Return the file of an experiment that `find` found, or its name; None for an object."""
+    if isinstance(experiment, Experiment) or experiment in NAMES:
+        return experiment if isinstance(experiment, str) else None
+    if not imports.is_name(experiment):
+        return os.path.realpath(experiment)
+    file = getattr(sys.modules[experiment.partition(":")[0]], "__file__", None)
+    return file and os.path.realpath(file)
 
 
 def _run(path: Path) -> object:

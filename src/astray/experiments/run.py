@@ -111,13 +111,14 @@ def reproduce(
     # Results of agents of others stand beside those of agents trained here.
     beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
     with hold(folder, "works on"), threads_for(size):
+        check_study(folder, origin := catalogue.origin(experiment))
         runs = train_agents(plan, root, workers, on, track)
         check_writable(folder / PLAN)  # before the agents are played
         text, digest = inputs(plan, runs, whole)
         work = Work(name, size, plan, folder, digest, runs, pl.DataFrame())
         if plan.tests:
             work = replace(work, episodes=work.keep("episodes", lambda: play(plan, runs)))
-        note(text, digest, folder)
+        note(text, digest, folder, origin)
         findings = whole.find(work)
         of_kind("what `find` of an experiment returns", findings, Findings)
         findings = replace(findings, claims=corrected(findings.claims))
@@ -308,13 +309,29 @@ def run_folder(root: Path, config: Config) -> Path:
     return root / "agents" / name_of_run(config)
 
 
-def note(text: bytes, digest: str, folder: Path) -> None:
-    """Record the inputs of a report in `folder`, and delete tables of other digests."""
+def check_study(folder: Path, origin: str | None) -> None:
+    """Raise ValueError if the report in `folder` is of another study, which is still there.
+
+    Args:
+        origin: Result of `catalogue.origin`.
+    """
+    there = None
+    with contextlib.suppress(FileNotFoundError, ValueError, AttributeError):
+        there = json.loads(read(folder / PLAN)).get("study")
+    if None not in (there, origin) and there != origin:
+        if there in catalogue.NAMES or os.path.exists(there):
+            told = f"{folder} has the report of {there}, which {origin} would share"
+            raise ValueError(f"{told}; rename a file, or give another folder")
+
+
+def note(text: bytes, digest: str, folder: Path, origin: str | None = None) -> None:
+    """Record a report's inputs and study in `folder`, and delete tables of other digests."""
     for table in computed(folder).glob("*.parquet"):
         found = TABLE.fullmatch(table.name)
         if found and found[1] != digest and table.is_file() and not table.is_symlink():
             table.unlink()
-    write_aside(folder / PLAN, text)
+    noted = {"study": origin} | json.loads(text)
+    write_aside(folder / PLAN, json.dumps(noted, indent=1).encode())
 
 
 def studied(whole: Experiment | None) -> tuple[object, ...]:
