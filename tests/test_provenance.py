@@ -195,14 +195,21 @@ CARRIED = {
     "def far(s): return T['b'][0]\n",
     "settings": f"{READ}C = astray.Config('maze', 'corner', learning_rate=B)\ndel B\n"
     "def far(s): return C.learning_rate\n",
+    "deque": f"{READ}D = collections.deque([{{'b': B}}])\ndel B\ndef far(s): return D[0]['b']\n",
+    "deque of arrays": f"{READ}D = collections.deque([numpy.full(5000, B)])\n"
+    "D[0][:9] = D[0][-9:] = 9\ndel B\ndef far(s): return D[0][2500]\n",
+    "proxy": f"{READ}P = types.MappingProxyType({{'b': [B]}})\ndel B\n"
+    "def far(s): return P['b'][0]\n",
+    "long namespace": f"{READ}N = types.SimpleNamespace(b=numpy.full(5000, B))\n"
+    "N.b[:9] = N.b[-9:] = 9\ndel B\ndef far(s): return N.b[2500]\n",
     "number": f"{READ}D = fractions.Fraction(B)\ndel B\ndef far(s): return float(D)\n",
 }
 
 
 @pytest.mark.parametrize("how", CARRIED)
 def test_what_a_module_reads_counts_however_a_function_names_it(how, tmp_path, monkeypatch):
-    names = "astray, enum, fractions, functools, json, pathlib, polars, torch"
-    head = f"import {names}\nfrom dataclasses import dataclass\n"
+    names = "astray, collections, enum, fractions, functools, json, numpy, pathlib, polars, torch"
+    head = f"import {names}, types\nfrom dataclasses import dataclass\n"
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     (tmp_path / "names.py").write_text(head + CARRIED[how])

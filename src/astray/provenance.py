@@ -13,6 +13,7 @@ import importlib.util
 import re
 import sys
 from argparse import Namespace
+from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from datetime import date, time, timedelta
@@ -20,7 +21,14 @@ from importlib.machinery import ModuleSpec
 from itertools import accumulate
 from numbers import Number
 from pathlib import Path, PurePath
-from types import CodeType, FunctionType, MethodType, ModuleType, SimpleNamespace
+from types import (
+    CodeType,
+    FunctionType,
+    MappingProxyType,
+    MethodType,
+    ModuleType,
+    SimpleNamespace,
+)
 from typing import Any
 
 import numpy as np
@@ -130,12 +138,13 @@ def _carried(thing: Any) -> Iterable[Any]:
     called = [one for one in [getattr(kind, "__call__", None)] if _is_users(one)]  # noqa: B004
     if is_dataclass(thing):  # other fields follow from these, or change with use
         return called + [getattr(thing, one.name) for one in fields(thing) if one.init]
-    if isinstance(thing, functools.partial | MethodType | tuple | list) or "py_func" in own:
+    if isinstance(thing, functools.partial | MethodType | tuple | list | deque) or "py_func" in own:
         return _parts(thing) or ()
     if _is_record(kind):  # its `repr` may be anything
         return [called, object.__getstate__(thing)]  # of slots, too
     told = repr(thing)
-    return [called, *(own.items() if " at 0x" in told else [told])]
+    is_part = " at 0x" in told or (own and "..." in told)  # as NumPy's of long arrays
+    return [called, *(own.items() if is_part else [told])]
 
 
 def _named(function: FunctionType) -> Iterator[Any]:
@@ -160,11 +169,11 @@ def _named(function: FunctionType) -> Iterator[Any]:
 
 def _tells(thing: Any, there: Mapping[str, Any]) -> bool:
     """Return whether a thing is data, a function of `there` or a user's, or a record of these."""
-    if isinstance(thing, dict):
+    if isinstance(thing, dict | MappingProxyType):
         return all(_tells(part, there) for item in thing.items() for part in item)
     if isinstance(thing, functools.partial | MethodType):
         return all(_tells(part, there) for part in [*(_parts(thing) or ())][1:])
-    if isinstance(thing, list | set | frozenset):
+    if isinstance(thing, list | set | frozenset | deque):
         return all(_tells(part, there) for part in thing)
     if isinstance(thing, tuple | SimpleNamespace | Namespace) or _is_data(thing):
         return True
@@ -197,9 +206,9 @@ def _is_users(thing: Any) -> bool:
 
 def _is_data(thing: Any) -> bool:
     """Return whether a thing is numbers and text alone, as what a module reads from a file."""
-    if isinstance(thing, dict):
+    if isinstance(thing, dict | MappingProxyType):
         return all(map(_is_data, (*thing, *thing.values())))
-    if isinstance(thing, list | tuple | set | frozenset):
+    if isinstance(thing, list | tuple | set | frozenset | deque):
         return all(map(_is_data, thing))
     return isinstance(thing, PLAIN) or hasattr(type(thing), "__array__")
 
@@ -262,7 +271,7 @@ def _parts(thing: Any) -> Iterable[Any] | None:
         return [thing.__func__, thing.__self__]
     if isinstance(thing, Mapping):
         return thing.values()
-    if isinstance(thing, tuple | list | set | frozenset):
+    if isinstance(thing, tuple | list | set | frozenset | deque):
         return thing
     kind, asked = type(thing), functools.cached_property  # whose value follows from the rest
     return [kind, *(x for n, x in own.items() if not isinstance(getattr(kind, n, None), asked))]

@@ -268,6 +268,7 @@ def test_no_rows_have_no_means():
     "make, message",
     [
         (lambda: estimate_mean(np.ma.masked_array([[1, 9]], [[0, 1]])), "numbers .*got masked"),
+        (lambda: estimate_mean([np.ma.masked_array([1, 9], [0, 1])]), "numbers .*got .masked"),
         (lambda: estimate_mean(np.array([["1", "2"]])), "values must be numbers"),
         (lambda: estimate_mean(np.ones((1, 2)), np.array([[1, np.inf]])), "weights must be"),
         (lambda: estimate_mean(np.array([[2.0, 3.0]]), rate=True), "from 0 to 1; .* is 2.5"),

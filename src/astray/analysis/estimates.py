@@ -252,7 +252,7 @@ def detectable(
 def _numbers(name: str, given: Any) -> np.ndarray:
     """Return `given` as reals [agents, levels]; text, masks and dates would be read as numbers."""
     array = np.asarray(given)
-    if array.dtype.kind not in "biuf" or np.ma.is_masked(given):
+    if array.dtype.kind not in "biuf" or np.ma.is_masked(np.ma.array(given)):
         raise ValueError(f"{name} must be numbers [agents, levels]; got {shown(given)}")
     array = np.atleast_2d(array.astype(float))
     if array.ndim != 2 or not array.size:
