@@ -666,6 +666,19 @@ def test_levels_of_an_agent_are_in_no_file_of_another_variants(untrained, tmp_pa
     assert [len(level["text"].splitlines()) for level in levels] == [25, 7]
 
 
+def test_an_agent_is_exported_though_its_training_has_removed_the_checkpoint(untrained, tmp_path):
+    architecture = Architecture("mlp", (4, 25, 25), (1, 1, 6, 6), 15, width=8)
+    untrained(tmp_path / "run", architecture, variant="corner", width=8)
+    start = {"game": "maze", "variant": "corner-small", "level": 0, "agent": ""}
+    lab = Lab(Agents.of({"mouse": tmp_path / "run"}), start)
+    path = lab.agents.open("mouse")[0].path
+    opened = path.read_bytes()
+    path.unlink()
+    export(lab, tmp_path / "site", 1, ["mouse"])
+    (exported,) = (tmp_path / "site").rglob("mouse.safetensors")
+    assert exported.read_bytes() == opened
+
+
 @pytest.fixture
 def namesake(monkeypatch):
     """Function: the pottery shop under another name, as a guest's."""

@@ -201,6 +201,19 @@ def test_the_verb_distils_from_an_agent_by_name(tmp_path, monkeypatch):
     assert AgentFolder.open(run).deviation() is None
 
 
+def test_students_have_one_teacher_though_it_trains_meanwhile(tmp_path, weights, monkeypatch):
+    run, out = tmp_path / "mouse", tmp_path / "students"
+    shutil.copytree(weights.parents[2], run)
+
+    def train_on(config, folder, track):
+        shutil.rmtree(run / "checkpoints", ignore_errors=True)
+        (folder / "config.json").write_text("")
+
+    monkeypatch.setattr("astray.training.track.train_tracked", train_on)
+    distil(run, observation="symbolic", steps=16_384, seeds=2, out=out)
+    assert len({(out / f"seed-{k}" / TEACHER).read_bytes() for k in range(2)}) == 1
+
+
 def test_a_sampler_that_learns_from_scores_has_no_students():
     for sampler in ("plr", "accel"):
         with pytest.raises(ValueError, match=f"a student needs a sampler.*{sampler}"):

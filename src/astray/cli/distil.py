@@ -1,5 +1,6 @@
 """The verb for distillation, to another network or other observations."""
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -86,6 +87,8 @@ def distil(
     there = out or Path("runs") / f"{config.game}-{config.variant}-of-{name}"
     runs = {there / f"seed-{k}": replace(config, seed=k) for k in range(seed, seed + seeds)}
     checkpoint.check_all(runs)
-    for student, one in runs.items():
-        with teaching(agent.path, student):
+    with contextlib.ExitStack() as taught:
+        for student in runs:  # before any is trained: a teacher that still trains is soon another
+            taught.enter_context(teaching(agent.path, student))
+        for student, one in runs.items():
             print(train_tracked(one, student, track))

@@ -17,6 +17,7 @@ import numpy as np
 
 from astray import games
 from astray.acting import initial_states
+from astray.agents.policy import weights
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
 from astray.files import check_empty, folder_aside, write_aside
@@ -241,7 +242,8 @@ def _write_agent(
 ) -> None:
     told.pop("layers", None)
     if agent.architecture.name == COMPUTED:
-        _write(folder / "agents" / f"{name}.safetensors", agent.path.read_bytes())
+        held = weights(agent.network, agent.architecture, agent.game)  # its file may be gone
+        _write(folder / "agents" / f"{name}.safetensors", held)
         return
     game = config.find_game()
     variant = config.variant_for(told["test"])
