@@ -1,6 +1,8 @@
 """Captured activations, in memory, files and folders."""
 
+import errno
 import json
+import os
 
 import numpy as np
 import pytest
@@ -62,6 +64,20 @@ def test_a_folder_that_is_there_is_not_touched(mouse, states, tmp_path):
     with pytest.raises(ValueError, match="b must be a new folder"):
         capture(mouse, SMALL, states[:2], LAYERS, folder=tmp_path / "b")
     assert not list((tmp_path / "b").iterdir())
+
+
+def test_a_folder_on_a_full_disk_is_told_and_no_page_is_written(
+    mouse, states, tmp_path, monkeypatch
+):
+    def full(number, start, size):
+        assert os.fstat(number).st_size == start + size > 4 * len(states)
+        raise OSError(errno.ENOSPC, "no room")
+
+    monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
+    monkeypatch.setattr("astray.insight.activations.observe", None)  # which asks the agent
+    with pytest.raises(OSError, match=r"no room: '[^']*b.0.npy'"):
+        capture(mouse, SMALL, states, LAYERS, folder=tmp_path / "b")
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_holds_no_activations_is_told(mouse, states, tmp_path):

@@ -243,6 +243,13 @@ def _capture_aside(
             name: np.lib.format.open_memmap(aside / files[name], "w+", np.float32, (count, *shape))
             for name, shape in shapes.items()
         }
+        take = getattr(os, "posix_fallocate", lambda *_: None)  # Macs and Windows have none
+        for file in files.values():  # a mapped page without room for it kills the process
+            with open(path := aside / file, "r+b") as opened:
+                try:
+                    take(opened.fileno(), 0, path.stat().st_size)
+                except OSError as error:
+                    raise OSError(error.errno, error.strerror, str(path)) from error
         fill(values)
         for value in values.values():
             assert isinstance(value, np.memmap)
