@@ -21,14 +21,7 @@ from importlib.machinery import ModuleSpec
 from itertools import accumulate
 from numbers import Number
 from pathlib import Path, PurePath
-from types import (
-    CodeType,
-    FunctionType,
-    MappingProxyType,
-    MethodType,
-    ModuleType,
-    SimpleNamespace,
-)
+from types import CodeType, FunctionType, MappingProxyType, MethodType, ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np

@@ -65,7 +65,9 @@ def test_another_study_of_that_name_does_not_replace_the_report_of_the_first(
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / f"{name.replace('_', '-')}-smoke"
     noted(replace(catalogue.load("maze-corner").sizes["smoke"], seeds=1), folder, first)
-    with pytest.raises(ValueError, match=r"has the report of .*, which .*there.*would share; renam"):
+    with pytest.raises(
+        ValueError, match=r"has the report of .*, which .*there.*would share; renam"
+    ):
         run.reproduce(str(paths[1]), "smoke", tmp_path)
     run.check_study(folder, catalogue.origin(first))
     paths[0].unlink()  # as of a study that was moved

@@ -318,10 +318,10 @@ def check_study(folder: Path, origin: str | None) -> None:
     there = None
     with contextlib.suppress(FileNotFoundError, ValueError, AttributeError):
         there = json.loads(read(folder / PLAN)).get("study")
-    if None not in (there, origin) and there != origin:
-        if there in catalogue.NAMES or os.path.exists(there):
-            told = f"{folder} has the report of {there}, which {origin} would share"
-            raise ValueError(f"{told}; rename a file, or give another folder")
+    is_other = there and origin and there != origin
+    if is_other and (there in catalogue.NAMES or os.path.exists(there)):
+        told = f"{folder} has the report of {there}, which {origin} would share"
+        raise ValueError(f"{told}; rename a file, or give another folder")
 
 
 def note(text: bytes, digest: str, folder: Path, origin: str | None = None) -> None:
