@@ -180,6 +180,7 @@ def capture(
         ValueError: If a layer is unknown, a state is not one of the variant, or states are not of
             whole episodes.
         MemoryError: If they do not fit in memory.
+        OSError: If the disk has no room for the folder.
     """
     of_kind("states", states, np.ndarray)
     bounded("batch", batch, 1, MOST)
