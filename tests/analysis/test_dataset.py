@@ -131,10 +131,10 @@ def test_minari_reads_its_layout(mouse, tmp_path, monkeypatch):
             not one.terminated,
         )
         assert episode.infos["state"].tobytes() == one.states.tobytes()
-    assert (
-        theirs.recover_environment().unwrapped.vector.variant
-        == GameVectorEnv("maze", "anywhere-small").variant
-    )
+    env = theirs.recover_environment()
+    assert env.unwrapped.vector.variant == GameVectorEnv("maze", "anywhere-small").variant
+    assert env.unwrapped.vector.art == mouse.art
+    assert np.array_equal(env.reset(options={"level": level})[0], one.observations[0])
 
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path):

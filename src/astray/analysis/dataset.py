@@ -15,7 +15,7 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -340,13 +340,17 @@ def write_minari(
     assert isinstance(taken, spaces.Discrete)
     _check_room(folder)
     name = next((n for n, other in game.variants.items() if other == variant), None)
+    spec = gymnasium.registry.get(f"astray/{game.name}-{name}-{VERSION}")
+    if spec:  # of the environment that shows what the data set has
+        shown_as = {"observation": about["observation"], "art": about["art"]}
+        spec = replace(spec, kwargs=spec.kwargs | shown_as)
     named = "".join(c if c.isalnum() else "-" for c in about["policy"])
     storage = MinariStorage.new(
         folder.absolute() / "data",
         observation_space=seen,
         action_space=taken,
         data_format="hdf5",
-        env_spec=gymnasium.registry.get(f"astray/{game.name}-{name}-{VERSION}"),
+        env_spec=spec,
         jpeg_encoding=False,
     )
     storage.update_metadata(
