@@ -97,6 +97,22 @@ def test_agents_that_only_teach_are_trained_first_and_are_in_no_table(tmp_path, 
         assert "update/kl" in (folder / "metrics.jsonl").read_text()
 
 
+def test_an_agent_names_the_teacher_and_the_start_of_its_number_whose_solver_teaches_too():
+    agents = {"pupil": replace(TINY, seed=9), "later": replace(TINY, seed=7)}
+    teaching = {"pupil": replace(TINY, width=8, seed=5, teacher="solver", taught=0.5)}
+    more = {"starts": {"later": "pupil"}, "seeds": 2, "first_seed": 3}
+    made = Plan(agents=agents, teachers=teaching, **more, levels=1, differences="").trainings()
+    names = {name: [name_of_run(one) for one in its] for name, its in made.items()}
+    assert [one.teacher for one in made["pupil"]] == names["teacher of pupil"]
+    assert [one.start for one in made["later"]] == names["pupil"]
+    assert [(one.seed, one.teacher) for one in made["teacher of pupil"]] == [
+        (8, "solver"), (9, "solver"),
+    ]  # fmt: skip
+    nobody = {"pupil": replace(teaching["pupil"], teacher="nobody")}
+    with pytest.raises(ValueError, match="teacher of pupil is a student of nobody: name it in"):
+        Plan(agents=agents, teachers=nobody, levels=1, differences="")
+
+
 @pytest.mark.parametrize("seed, first_seed", [(0, SEEDS - 1), (SEEDS - 1, 0), (5, SEEDS - 6)])
 def test_more_agents_than_there_are_seeds_are_refused_by_their_number(seed, first_seed):
     agents = {"mouse": replace(TINY, seed=seed)}

@@ -153,8 +153,9 @@ class Plan:
                 if mine != its:
                     raise ValueError(f"{name} begins with {first}, of {what} {its}; got {mine}")
         self.phases()
-        for name in self.agents.keys() - students - set(self.published):
-            if (teacher := self.agents[name].teacher) not in (None, SOLVER):
+        for name, config in {**self.agents, **self._only_teach}.items():
+            is_named = name in students or name in self.published
+            if not is_named and (teacher := config.teacher) not in (None, SOLVER):
                 raise ValueError(f"{name} is a student of {teacher}: name it in `teachers`")
         fewest = min([MOST, *(len(config.unseen_levels) for config in self.agents.values())])
         bounded("levels", self.levels, 1, fewest)
@@ -240,27 +241,27 @@ class Plan:
         """Return the settings of all agents that are trained here, also to teach alone."""
         threads = 1 if self.device == "cpu" else FEEDING
         how: dict[str, Any] = {"device": self.device, "threads": threads} if self.device else {}
-        only_teach = {
-            self.called(student): config
-            for student, config in self.teachers.items()
-            if isinstance(config, Config)
-        }
         return {
-            name: [
-                replace(self._begun(name, config, config.seed + self.first_seed + k), **how)
-                for k in range(self.seeds)
-            ]
-            for name, config in {**self.agents, **only_teach}.items()
+            name: [replace(self._begun(name, config, k), **how) for k in range(self.seeds)]
+            for name, config in {**self.agents, **self._only_teach}.items()
             if name not in self.published
         }
 
-    def _begun(self, name: str, config: Config, seed: int) -> Config:
-        """Return a training's settings with its seed, teacher and start."""
+    @property
+    def _only_teach(self) -> dict[str, Config]:
+        """The settings of agents that are trained to teach alone, by name."""
+        pairs = self.teachers.items()
+        return {self.called(name): one for name, one in pairs if isinstance(one, Config)}
+
+    def _begun(self, name: str, config: Config, number: int) -> Config:
+        """Return the settings of a name's training, by number, with its seed, teacher and start."""
         first = self.starts.get(name)
         if first is not None:
-            begun = name_of_run(self._begun(first, self.agents[first], seed))
+            begun = name_of_run(self._begun(first, self.agents[first], number))
             config = replace(config, start=begun)
-        return replace(config, seed=seed, teacher=self.teacher_of(name, seed))
+        if name in self.teachers:
+            config = replace(config, teacher=self._teacher_of(name, number))
+        return replace(config, seed=config.seed + self.first_seed + number)
 
     def sources(self, name: str) -> dict[str, str]:
         """Return the agents whose weights a name's trainings need, by the file of the weights."""
@@ -289,16 +290,14 @@ class Plan:
         teacher = self.teachers[student]
         return teacher if isinstance(teacher, str) else f"teacher of {student}"
 
-    def teacher_of(self, student: str, seed: int) -> str | None:
+    def _teacher_of(self, student: str, number: int) -> str:
         """Return the name of a student's teacher: that of a published agent, or of a training."""
-        if student not in self.teachers:
-            return self.agents[student].teacher if student in self.agents else None
         teacher = self.teachers[student]
-        if isinstance(teacher, str):
-            if teacher in self.published:
-                return self.published[teacher]
-            return name_of_run(self._begun(teacher, self.agents[teacher], seed))
-        return name_of_run(replace(teacher, seed=seed))
+        if isinstance(teacher, Config):
+            return name_of_run(self._begun(self.called(student), teacher, number))
+        if teacher in self.published:
+            return self.published[teacher]
+        return name_of_run(self._begun(teacher, self.agents[teacher], number))
 
 
 def open_agents(plan: Plan, runs: Runs) -> dict[str, list[Agent | Loaded]]:
