@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from astray.art.original import FORK_ALONE
 from astray.experiments import catalogue, run, workers
 from astray.experiments.spec import Plan, name_of_run
 from astray.experiments.workers import expected
@@ -13,6 +14,7 @@ from astray.training.folders import START, TEACHER, AgentFolder
 from astray.training.levels import Growing
 from astray.training.loop import train
 from astray.training.settings import SEEDS
+from helpers.drawn import MISSING
 from helpers.trainings import TINY
 
 NAMES = [name for name in catalogue.NAMES if {"night", "paper"} <= {*catalogue.load(name).sizes}]
@@ -111,6 +113,17 @@ def test_an_agent_names_the_teacher_and_the_start_of_its_number_whose_solver_tea
     nobody = {"pupil": replace(teaching["pupil"], teacher="nobody")}
     with pytest.raises(ValueError, match="teacher of pupil is a student of nobody: name it in"):
         Plan(agents=agents, teachers=nobody, levels=1, differences="")
+
+
+def test_a_teacher_sees_the_art_of_its_students():
+    mouse = replace(TINY, observation="image", network="patch")
+    how = {"teachers": {"pupil": mouse}, "levels": 1, "differences": ""}
+    with pytest.raises(ValueError, match="teacher of pupil sees art 'own'; pupil has 'original'"):
+        Plan(agents={"pupil": replace(mouse, art="original")}, **how)
+    if MISSING - {*FORK_ALONE}:
+        pytest.skip("the original's pictures are not imported")
+    made = Plan(agents={"pupil": mouse}, **how).drawn_with("original").trainings()
+    assert {one.art for its in made.values() for one in its} == {"original"}
 
 
 @pytest.mark.parametrize("seed, first_seed", [(0, SEEDS - 1), (SEEDS - 1, 0), (5, SEEDS - 6)])

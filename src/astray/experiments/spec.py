@@ -145,6 +145,10 @@ class Plan:
             raise ValueError("`teachers` must name agents of the plan")
         if students & {*self.published, *named}:
             raise ValueError("a student must be trained here, and teach nobody")
+        for name, teacher in self.teachers.items():
+            its = teacher if isinstance(teacher, Config) else self.agents[teacher]
+            if its.observation == "image" and (art := self.agents[name].art) != its.art:
+                raise ValueError(f"{self.called(name)} sees art {its.art!r}; {name} has {art!r}")
         if not {*self.starts, *self.starts.values()} <= self.agents.keys() - set(self.published):
             raise ValueError("`starts` must name agents of the plan that are trained here")
         for name, first in self.starts.items():
@@ -235,7 +239,13 @@ class Plan:
         for config in self.agents.values():
             config.find_game().drawn(art, config.training_variant())  # told before the work
         agents = {name: replace(config, art=art) for name, config in self.agents.items()}
-        return replace(self, agents=agents)
+        teachers = {
+            name: replace(one, art=art)  # which they are shown, as their students are
+            if isinstance(one, Config) and one.observation == "image"
+            else one
+            for name, one in self.teachers.items()
+        }
+        return replace(self, agents=agents, teachers=teachers)
 
     def trainings(self) -> dict[str, list[Config]]:
         """Return the settings of all agents that are trained here, also to teach alone."""
