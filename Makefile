@@ -15,15 +15,15 @@ demo: $(INSTALLED)
 test:
 	$(MAKE) --no-print-directory --jobs 3 tested check docs
 
-# Three workers on two cores, as tests wait for pages and processes; a second thread in each would
-# wait for a core, and keep it busy. Each takes as long as thousands of small tests to begin with.
-# One begins with many tests in a row, so that most of what they share is made once. What Python has
-# parsed is kept, as tests start many processes.
+# Two workers on two cores: a third fills the moments in which tests wait for pages and processes,
+# but with it all take a tenth more of the cores. A second thread in each would wait for a core, and
+# keep it busy. A worker begins with many tests in a row, so that most of what they share is made
+# once. What Python has parsed is kept, as tests start many processes.
 test tested quick thorough fuzz: export ASTRAY_ART ?= $(CURDIR)/.art
 test tested quick thorough fuzz: export OMP_NUM_THREADS ?= 1
 test tested quick thorough fuzz: export PYTHONDONTWRITEBYTECODE =
 PYTEST = $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
-WORKERS = 3
+WORKERS = 2
 
 tested: compiled
 	$(PYTEST)
@@ -50,8 +50,6 @@ thorough: compiled
 # environments, training, checkpoints, analysis, experiments, the command line, types or documentation.
 QUICK := src tests/agency tests/kernel/test_kernel.py tests/art/test_art.py tests/games/test_reference.py \
 	tests/training/test_ppo.py tests/test_house.py
-# Its tests wait for nothing, so a third worker would be in the way.
-quick: WORKERS = 2
 quick: lint
 	$(PYTEST) $(QUICK)
 

@@ -2,6 +2,7 @@
 
 import gc
 import multiprocessing
+import os
 import signal
 import sys
 from pathlib import Path
@@ -20,10 +21,12 @@ def pytest_collection(session):
 def pytest_configure():
     """Garbage is looked for less often: among a million objects that takes half a second.
 
+    Files are not forced to the disk, for which workers would wait a quarter of a minute.
     A process that was begun in the background ignores Ctrl+C, which ends environments that hang.
     Tests of it would wait for ever.
     """
     gc.set_threshold(100_000)
+    os.fsync = lambda _: None
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
