@@ -16,7 +16,7 @@ test:
 	$(MAKE) --no-print-directory --jobs 3 tested check docs
 
 # Two workers on two cores: a third fills the moments in which tests wait for pages and processes,
-# but with it all take a tenth more of the cores. A second thread in each would wait for a core, and
+# but then the tests need a tenth more core time. A second thread in each would wait for a core, and
 # keep it busy. A worker begins with many tests in a row, so that most of what they share is made
 # once. What Python has parsed is kept, as tests start many processes.
 test tested quick thorough fuzz: export ASTRAY_ART ?= $(CURDIR)/.art

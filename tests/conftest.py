@@ -21,7 +21,7 @@ def pytest_collection(session):
 def pytest_configure():
     """Garbage is looked for less often: among a million objects that takes half a second.
 
-    Files are not forced to the disk, for which workers would wait a quarter of a minute.
+    `os.fsync` does nothing: workers would wait for the disk, a quarter of a minute in all.
     A process that was begun in the background ignores Ctrl+C, which ends environments that hang.
     Tests of it would wait for ever.
     """

@@ -82,7 +82,7 @@ class _Lent:
                     (torch := sys.modules["torch"]).set_default_dtype(self.dtype or torch.float32)
                 for module, own in self.standard:
                     vars(module).update(own)
-                if LOG.manager.disable != self.muted:  # else loggers look anew for theirs
+                if LOG.manager.disable != self.muted:  # all loggers look their level up anew
                     logging.disable(self.muted)
                 if self.output:
                     with contextlib.suppress(AttributeError, OSError, ValueError):
