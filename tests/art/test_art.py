@@ -12,6 +12,7 @@ from PIL import Image
 
 import astray
 from astray.art import own
+from helpers.thorough import thorough
 
 PACKAGE = Path(astray.__file__).parent
 MAZE = PACKAGE / "games" / "maze" / "art"
@@ -40,9 +41,10 @@ def test_every_png_has_a_drawing_and_together_they_are_small():
     assert sum(png.stat().st_size for png in pngs) < 1_000_000  # bytes
 
 
-def test_a_png_shows_what_its_drawing_renders_to():
+@pytest.mark.parametrize("drawings", [DRAWINGS[::4], *thorough(DRAWINGS)])
+def test_a_png_shows_what_its_drawing_renders_to(drawings):
     pytest.importorskip("resvg_py")
-    for svg in DRAWINGS:
+    for svg in drawings:
         with Image.open(BytesIO(own.render(svg))) as png:
             fresh = np.array(png.convert("RGBA"), int)
         # Another release of the renderer may round an edge otherwise.

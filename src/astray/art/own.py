@@ -79,14 +79,13 @@ def _sum_blocks(rows: np.ndarray, count: int) -> np.ndarray:
     """Repeat each of `rows` [R, ...] `count` times and return the sums of `count` equal blocks."""
     if len(rows) % count == 0:  # whole blocks, summed in a third of the time
         return count * rows.reshape(count, -1, *rows.shape[1:]).sum(1)
-    below = np.zeros((len(rows) + 1, *rows.shape[1:]), np.int64)
-    np.cumsum(rows, axis=0, out=below[1:])
     # Block edges are multiples of R in a column of R * count; there, row `whole` begins
     # `part` repeats before the edge.
     whole, part = np.divmod(np.arange(count + 1) * len(rows), count)
-    part = part.reshape(-1, *[1] * (rows.ndim - 1))
-    at_edge = count * below[whole] + part * rows[np.minimum(whole, len(rows) - 1)]
-    return np.diff(at_edge, axis=0)
+    sums = np.add.reduceat(rows, whole[:-1])
+    sums[whole[:-1] == whole[1:]] = 0  # where an empty slice is, `reduceat` puts a row
+    edges = part.reshape(-1, *[1] * (rows.ndim - 1)) * rows[np.minimum(whole, len(rows) - 1)]
+    return count * sums + np.diff(edges, axis=0)
 
 
 def _divide(numerator: np.ndarray, denominator: np.ndarray | int) -> np.ndarray:
