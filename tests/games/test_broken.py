@@ -14,8 +14,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numba import njit
+from numba.core.errors import NumbaError
 
 from astray import games, imports, world
+from astray.envs.compiled import _brief
 from astray.envs.vector import GameVectorEnv
 from astray.game import More, Never, Shift
 from astray.kernel.jit import kernel
@@ -373,6 +376,24 @@ def test_code_at_which_numba_itself_fails_is_told_with_its_line():
     line = masked.__code__.co_firstlineno + 2
     with pytest.raises(ValueError, match=rf"fails: AssertionError.*near .*test_broken.*{line}"):
         GameVectorEnv(replace(maze, name="masked", rules=rules), "corner")
+
+
+@njit
+def misspelt():
+    return REWARD  # noqa: F821
+
+
+@njit
+def calls():
+    return misspelt()
+
+
+def test_a_name_that_is_not_defined_is_told_with_its_function():
+    """The line that was told was that of the call, for a game's step one of our loop."""
+    with pytest.raises(NumbaError) as failed:
+        calls()
+    assert _brief(failed.value).startswith("NameError: name 'REWARD' is not defined")
+    assert _brief(failed.value).endswith("(in misspelt)")
 
 
 @pytest.mark.parametrize("text", [b"[astray.games]\nno sign of equality\n", b"[a]\n\xff = b:C\n"])

@@ -84,6 +84,9 @@ def _brief(error: NumbaError) -> str:
     place = re.search(r'(?m)^File "[^"]*", line \d+', text)
     lines = [one.strip() for one in text.splitlines() if not one.startswith(("Failed in", "File"))]
     told = " ".join([line for line in lines if line][:2])
+    called = re.search(r"callee type: .*<function (\w+) at", text)
+    if called and place and called.start() < place.start():  # the place is of the call
+        return f"{brief(told)} (in {called[1]})"
     return f"{brief(told)} ({place[0]})" if place else brief(told)
 
 
