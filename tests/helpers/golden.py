@@ -84,20 +84,14 @@ def _of_batch(env: GameVectorEnv, seed: int, names: dict[int, int], steps: int) 
         ]
     )
     digests, found = {i: hashlib.sha256() for i in names}, {}
+    fields = ("level", "shifted", "time", *env.game.events)
     for t in range(steps):
         observation, reward, terminated, truncated, _ = env.step(actions[:, t])
+        states = np.asarray(env.states)  # a plain array, whose fields are at hand sooner
+        told = np.stack([terminated, truncated, *(states[name] for name in fields)], axis=1)
         for i, digest in digests.items():
-            s = env.states[i]
-            ends = [
-                int(terminated[i]),
-                int(truncated[i]),
-                int(s.level),
-                int(s.shifted),
-                int(s.time),
-            ]
-            told = [*ends, *(int(s[event]) for event in env.game.events)]
             digest.update(observation[i].tobytes() + reward[i].tobytes())
-            digest.update(np.array(told, np.int64).tobytes())
+            digest.update(told[i].astype(np.int64).tobytes())
             if t + 1 in STEPS:
                 found[f"{kind} {names[i]} after {t + 1}"] = digest.hexdigest()[:16]
     return found

@@ -175,7 +175,8 @@ def measure_named(
 
     Args:
         goals: For each episode: name -> cells, of which the nearest is the goal. OTHER is a further
-            goal, any other cell, because none of the named goals may be right.
+            goal, because none of the named goals may be right: some reachable cell, each equally
+            likely, also those that have a name.
 
     Raises:
         ValueError: If episodes and goals do not fit.
