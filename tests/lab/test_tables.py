@@ -131,7 +131,7 @@ def test_a_table_has_the_place_of_the_other_object_over_which_an_agent_walks(unt
     path = untrained(tmp_path / "run", SIGHTED, **IMAGES, variant="dish-small", validation=None)
     game = games.find("maze")
     agent, apart = Agent(path, "maze"), game.variant("dish-apart-small")
-    index, data = table(agent, game, apart, 3)
+    index, data = table(agent, game, apart, 2)
     for number, told in enumerate(index["levels"]):
         assert [*told["other"]] and {*told["other"]} <= {*told["places"]}
         level = Level.of(game, apart, initial_states(game, apart, [number])[0])
