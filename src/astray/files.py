@@ -198,6 +198,21 @@ def remove_killed(path: Path) -> None:
 
 
 @contextlib.contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Yield a new folder, which becomes `path` on success and is removed on failure.
+
+    Those of its name that killed processes left are removed.
+    """
+    remove_killed(path)
+    with folder_aside(path) as aside:
+        with hold(aside, "writes"):
+            yield aside
+            with contextlib.suppress(PermissionError):  # on Windows its release does
+                (aside / LOCK).unlink()
+        os.replace(aside, path)
+
+
+@contextlib.contextmanager
 def files_aside(folder: Path, mark: str, sign: bytes) -> Iterator[Path]:
     """Yield a new folder, whose files get to `folder` on success, and on failure none of them.
 

@@ -17,6 +17,7 @@ from astray.analysis.policies import Random
 from astray.analysis.tables import read_table, write_table
 from astray.analysis.video import play
 from astray.envs.vector import GameVectorEnv
+from helpers import killed
 
 LEVELS = range(10**6, 10**6 + 12)
 SYMBOLS = Random(observation="symbolic")
@@ -153,6 +154,7 @@ def test_of_two_exports_to_one_folder_the_later_is_told_that_there_is_one(tmp_pa
         return np.full(len(seen), 7)
 
     policy = astray.Function(slow, observation="symbolic")
+    killed.left(tmp_path / "walks")
     with pytest.raises(ValueError, match="new folder; there is something at"):
         dataset.export(policy, "maze", "corner-small", [5], tmp_path / "walks")
     assert [path.name for path in tmp_path.rglob("*")] == ["walks", "mine"]

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from safetensors.numpy import load_file
 
+from astray import files
 from astray.agents import policy
 from astray.training import checkpoint
 from astray.training.config import PRESETS
@@ -35,6 +36,13 @@ CONFIG = replace(
     checkpoint_every=2,
     width=32,
 )
+
+
+def left(path: Path) -> None:
+    """Leave beside `path` what a process leaves that is killed while it writes to `path`."""
+    (aside := files.aside_of(path)).mkdir(parents=True)
+    for name in (files.LOCK, "half"):
+        (aside / name).touch()
 
 
 # The run that is killed; `CONFIG` is for tests that need to be in the middle of one.

@@ -12,6 +12,7 @@ from astray.acting import initial_states
 from astray.analysis.critic import observe
 from astray.insight.activations import activations, capture, load_activations
 from astray.training import folders
+from helpers import killed
 
 MAZE = games.find("maze")
 SMALL = MAZE.variant("anywhere-small")
@@ -51,6 +52,7 @@ def test_the_batch_changes_nothing(mouse, states, found, batch):
 def test_a_file_and_a_folder_hold_the_same(mouse, states, found, tmp_path):
     found.save(tmp_path / "a.npz")
     labels = {"right": MAZE.labels["cheese right"]}
+    killed.left(tmp_path / "b")
     mapped = capture(mouse, SMALL, states, LAYERS, measures=labels, folder=tmp_path / "b", batch=40)
     for other in (load_activations(tmp_path / "a.npz"), load_activations(tmp_path / "b"), mapped):
         assert all((other.values[name] == found.values[name]).all() for name in LAYERS)

@@ -27,7 +27,7 @@ from astray.lab.session import Lab, Session
 from astray.lab.worlds import is_drawn, read_world, snapshot
 from astray.level import Level
 from astray.training.ppo import RewardNormaliser, advantages
-from helpers import moor
+from helpers import killed, moor
 from helpers.browsed import PLAY, folder_served, knobs, opened, usual_lab, wait, window_of
 from helpers.thorough import thorough
 
@@ -740,6 +740,7 @@ def test_a_folder_that_is_filled_meanwhile_stays_as_it_is(tmp_path, monkeypatch)
         one.write_text("mine")
 
     monkeypatch.setattr("astray.lab.export._write_data", write)
+    killed.left(one.parent)
     with pytest.raises(FileExistsError, match="must be new, or an empty folder"):
         export(usual_lab(), one.parent, levels=1)
     assert one.read_text() == "mine" and [*tmp_path.iterdir()] == [one.parent]

@@ -31,7 +31,7 @@ from astray.analysis.tables import read_table, write_table
 from astray.envs import VERSION
 from astray.envs.steps import choices
 from astray.envs.vector import GameVectorEnv, space_of
-from astray.files import check_writable, folder_aside, read, write_aside
+from astray.files import check_writable, new_folder, read, write_aside
 from astray.game import Game, Variant
 from astray.memory import check_memory
 from astray.record import count_levels
@@ -153,14 +153,13 @@ def export(
         "state": np.dtype(game.state.descr).descr,
     }  # fmt: skip
     check_writable(folder)  # before the work
-    with folder_aside(folder) as aside:
-        played = trajectories(policy, game, of, levels, batch=batch, longest=longest)
-        write(played, game, of, about, aside)
-        try:
-            os.replace(aside, folder)
-        except OSError:
-            _check_new(folder)  # another export was sooner
-            raise
+    try:
+        with new_folder(folder) as aside:
+            played = trajectories(policy, game, of, levels, batch=batch, longest=longest)
+            write(played, game, of, about, aside)
+    except OSError:
+        _check_new(folder)  # another export was sooner
+        raise
     return folder
 
 

@@ -31,7 +31,7 @@ from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.tables import read_table, write_table
 from astray.analysis.trained import Model, check_network
 from astray.envs.states import BROKEN, arrays_of
-from astray.files import check_readable, folder_aside, write_aside
+from astray.files import check_readable, new_folder, write_aside
 from astray.game import Variant
 from astray.memory import check_memory
 from astray.training.folders import read_json
@@ -239,7 +239,7 @@ def _capture_aside(
     if os.path.lexists(folder):
         raise ValueError(f"{folder} must be a new folder; there is something already")
     files = {name: f"{k}.npy" for k, name in enumerate(shapes)}
-    with folder_aside(folder) as aside:
+    with new_folder(folder) as aside:
         values: dict[str, np.ndarray] = {
             name: np.lib.format.open_memmap(aside / files[name], "w+", np.float32, (count, *shape))
             for name, shape in shapes.items()
@@ -258,7 +258,6 @@ def _capture_aside(
         values.clear()
         write_table(labels, aside / LABELS)
         write_aside(aside / INDEX, json.dumps({"format": FORMAT, "layers": files}).encode())
-        os.replace(aside, folder)
     return load_activations(folder)
 
 

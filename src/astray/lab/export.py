@@ -20,7 +20,7 @@ from astray.acting import initial_states
 from astray.agents.policy import weights
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
-from astray.files import check_empty, folder_aside, write_aside
+from astray.files import check_empty, new_folder, write_aside
 from astray.game import Game, Variant
 from astray.games import maze
 from astray.insight.fields import states_at
@@ -81,7 +81,7 @@ def export(
     bounded("levels", levels, 1, 10_000)
     check_empty(folder)
     chosen = check_exportable(lab, agents, further := games or {})
-    with folder_aside(folder) as aside:
+    with new_folder(folder) as aside:
         for path, (data, _) in files().items():
             if path != "widget.js":
                 _write(aside / path, data.replace(b'engine="socket"', b'engine="static"'))
@@ -89,7 +89,6 @@ def export(
         _write_data(lab, aside / "data", levels, chosen, further)
         if check_empty(folder):  # another export may have filled it meanwhile
             folder.rmdir()
-        aside.rename(folder)
 
 
 def check_exportable(

@@ -24,7 +24,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as from_bytes
 
 from astray import agents
-from astray.files import LOCK, check_writable, folder_aside, hold, read, remove_killed
+from astray.files import check_writable, new_folder, read
 from astray.training.config import Config
 from astray.validation import finite, path_of, shown
 
@@ -239,23 +239,15 @@ def check_new(name: str, *homes: Path) -> None:
 
 @contextlib.contextmanager
 def made(home: Path, name: str) -> Iterator[Path]:
-    """Yield a new folder that becomes `home`/`name` on success and is removed on failure.
-
-    Those of this name that killed processes left are removed.
-    """
+    """Yield a `new_folder` for `home`/`name`."""
     check_new(name, home)
     check_writable(home / name)
-    remove_killed(home / name)
-    with folder_aside(home / name) as aside:
-        with hold(aside, "writes"):
+    try:
+        with new_folder(home / name) as aside:
             yield aside
-            with contextlib.suppress(PermissionError):  # on Windows its release does
-                (aside / LOCK).unlink()
-        try:
-            os.replace(aside, home / name)
-        except OSError:
-            check_new(name, home)  # somebody was faster
-            raise
+    except OSError:
+        check_new(name, home)  # somebody was faster
+        raise
 
 
 def _names(home: Path) -> list[str]:
