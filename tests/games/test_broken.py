@@ -380,7 +380,7 @@ def test_code_at_which_numba_itself_fails_is_told_with_its_line():
 
 @njit
 def misspelt():
-    return REWARD  # noqa: F821
+    return REWARD  # noqa: F821  # pyrefly: ignore
 
 
 @njit
