@@ -12,6 +12,7 @@ from astray.agents.mlp import MLP
 from astray.training import loop, ppo, rollout
 from astray.training.config import PRESETS
 from astray.training.trainer import Trainer
+from helpers.trainings import PICTURES
 
 CONFIG = replace(
     PRESETS["small"], variant="corner-small", num_envs=16, num_steps=8, minibatches=2, width=16
@@ -374,13 +375,67 @@ def one_head_more(monkeypatch):
     monkeypatch.setattr(MLP, "__init__", begin_with_head)
 
 
-@pytest.mark.parametrize("edit", [double_entropy, other_clip, other_activation, one_head_more])
+def dual_clip(monkeypatch):
+    """As Ye et al. (2020): only where a probability rose to three times as much, as never yet."""
+    loss = ppo.policy_loss
+
+    def bounded(log_ratio, advantage, clip):
+        usual = torch.stack([loss(*pair, clip) for pair in zip(log_ratio, advantage, strict=True)])
+        return torch.where(advantage < 0, usual.minimum(-3 * advantage), usual).mean()
+
+    monkeypatch.setattr(ppo, "policy_loss", bounded)
+
+
+def huber(monkeypatch):
+    def loss(value, old, target, clip):
+        near = old + (value - old).clamp(-clip, clip)
+        both = [
+            nn.functional.huber_loss(x, target, reduction="none", delta=10) for x in (value, near)
+        ]
+        return torch.max(*both).mean()
+
+    monkeypatch.setattr(ppo, "value_loss", loss)
+
+
+def bounded_logits(monkeypatch):
+    outputs = ppo.outputs
+
+    def within(network, minibatch):
+        logits, value = outputs(network, minibatch)
+        return 5 * torch.tanh(logits / 5), value
+
+    monkeypatch.setattr(ppo, "outputs", within)
+
+
+def bounded_activation(monkeypatch):
+    monkeypatch.setattr(nn, "ReLU", nn.ReLU6)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        double_entropy, other_clip, other_activation, one_head_more, dual_clip, huber,
+        bounded_logits, bounded_activation,
+    ],
+)  # fmt: skip
 def test_an_edit_of_ours_is_seen(edit, monkeypatch):
     edit(monkeypatch)
     with pytest.warns(UserWarning, match="as it is written"):
         edited, _ = learned(CONFIG)
     plain, _ = learned(CONFIG.changed(**OFF))
     assert torch.equal(edited, plain)
+
+
+def test_an_edit_that_compares_a_minibatch_is_not_learned_in_parts(monkeypatch):
+    """Advantages of each minibatch were normalised in each of its parts."""
+    loss, config = ppo.policy_loss, PICTURES.changed(network="patch", microbatch=8)
+    edited = lambda ratio, x, clip: loss(ratio, ppo.normalised(x), clip)  # noqa: E731
+    monkeypatch.setattr(ppo, "policy_loss", edited)
+    with pytest.warns(UserWarning, match="as it is written"):
+        found, _ = learned(config)
+    with pytest.warns(UserWarning, match="the loss .* as it is written"):
+        plain, _ = learned(config.changed(microbatch=32))
+    assert torch.equal(found, plain)
 
 
 EDITS = {  # of `loop.collect`
