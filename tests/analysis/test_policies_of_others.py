@@ -194,6 +194,17 @@ def test_an_actor_of_torchrl_plays_as_by_hand(recurrent, one_hot):
     assert played(policy, 3) == played(policy, 256) == hand
 
 
+def test_an_actor_of_torchrl_that_learns_from_sequences_is_asked_step_by_step():
+    """Episodes side by side were taken for steps of one, so that each had another's memory."""
+    actor = actor_of_torchrl(True, False)
+    policy = from_torchrl(actor, greedy=True)
+    alone = played(policy, 1)
+    actor.module[1].default_recurrent_mode = True
+    assert played(policy, 1) == played(policy, 3) == played(policy, 256) == alone
+    with pytest.importorskip("torchrl.modules").set_recurrent_mode(True):
+        assert played(policy, 3) == alone
+
+
 def test_an_actor_of_torchrl_is_asked_in_evaluation_mode_and_is_then_as_it_was():
     actor = actor_of_torchrl(False, False)
     actor.module[0].module.append(nn.Dropout(0.5)).append(frozen := nn.Dropout(0.5))

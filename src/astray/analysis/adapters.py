@@ -177,7 +177,9 @@ def from_torchrl(
         drawn = InteractionType.DETERMINISTIC if greedy else InteractionType.RANDOM
         is_module = isinstance(actor, torch.nn.Module)
         mode = trained.evaluating(actor) if is_module else contextlib.nullcontext()
-        with torch.no_grad(), set_interaction_type(drawn), mode:
+        theirs: Any = sys.modules.get("torchrl.modules")  # else rows may be taken for steps
+        by_step = theirs.set_recurrent_mode(False) if theirs else contextlib.nullcontext()
+        with torch.no_grad(), set_interaction_type(drawn), mode, by_step:
             said = actor(TensorDict(told, [len(begins)]))
         action = said["action"].argmax(-1) if one_hot else said["action"]
         return action.numpy(force=True), dict(said.get("next", {}).items()) or None
