@@ -48,7 +48,7 @@ def test_a_lab_in_which_something_is_the_users_stays(tmp_path, name):
 
 
 def test_an_agent_that_a_page_cannot_compute_has_no_lab(tmp_path, monkeypatch):
-    monkeypatch.setattr(labs, "COMPUTED", "another")
+    monkeypatch.setattr(labs, "is_computed", lambda agent: False)
     assert labs.write([SCENE], tmp_path) == labs.write([], tmp_path) == {}
     assert not (tmp_path / "lab").exists()
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
-from astray import games, grid
+from astray import games, grid, load_agent
 from astray.acting import initial_states
 from astray.agents.policy import Architecture
 from astray.analysis.critic import policy_and_value
@@ -19,7 +20,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.lab import export as export_
 from astray.lab import goals, rules
 from astray.lab.agents import Agents
-from astray.lab.export import export, file_names
+from astray.lab.export import export, file_names, is_computed
 from astray.lab.link import link
 from astray.lab.messages import read
 from astray.lab.serving import make_lab
@@ -677,6 +678,15 @@ def test_an_agent_is_exported_though_its_training_has_removed_the_checkpoint(unt
     export(lab, tmp_path / "site", 1, ["mouse"])
     (exported,) = (tmp_path / "site").rglob("mouse.safetensors")
     assert exported.read_bytes() == opened
+
+
+def test_an_agent_whose_network_was_edited_is_not_exported(monkeypatch, tmp_path):
+    """The page computed the one from before the edit, and drew other arrows."""
+    monkeypatch.setattr(nn, "ReLU", nn.Tanh)
+    lab = make_lab("maze-corner", {"level": 0})
+    with pytest.raises(ValueError, match="'maze-corner' has an edited mlp; a page computes"):
+        export(lab, tmp_path / "site", 1, ["maze-corner"])
+    assert not is_computed(load_agent("coin-end"))
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from astray.acting import initial_states
 from astray.analysis.runs import open_run
 from astray.files import folder_aside, read, write_aside
 from astray.lab.agents import Agents
-from astray.lab.export import COMPUTED, export, file_names
+from astray.lab.export import export, file_names, is_computed
 from astray.lab.link import link
 from astray.lab.session import Lab
 from astray.lab.worlds import is_drawn
@@ -53,7 +53,7 @@ def write(scenes: Iterable[Scene], folder: Path) -> dict[Scene, str]:
 
 def _computed(scene: Scene) -> bool:
     agent, config = open_run(scene.run)
-    return agent.architecture.name == COMPUTED and is_drawn(config.find_game())
+    return is_computed(agent) and is_drawn(config.find_game())
 
 
 def _make_room(to: Path) -> bool:

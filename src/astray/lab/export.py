@@ -7,6 +7,7 @@ place of goal and agent, facing left or right, the policy and the value, one byt
 
 import base64
 import contextlib
+import copy
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from astray import games
 from astray.acting import initial_states
@@ -34,6 +36,7 @@ from astray.lab.worlds import is_played
 from astray.level import Level
 from astray.record import NEVER, record_dtype
 from astray.training.config import Config
+from astray.training.fast import sparse
 from astray.validation import MOST, bounded, of_kind, path_of
 
 DRAWS = 100_000  # from the twister of a level's number, at most, until the level begins
@@ -110,9 +113,30 @@ def check_exportable(
     for name, (agent, config) in opened.items():
         why = "has a memory" if agent.caveat else f"sees images of {config.game}"
         is_tabled = not agent.caveat and config.find_game() is maze.GAME
+        if agent.architecture.name == COMPUTED and not is_computed(agent):
+            told = f"the agent {name!r} has an edited {COMPUTED}; a page computes astray's own"
+            raise ValueError(f"{told}; astray lab without --export shows any")
         if agent.architecture.name != COMPUTED and not is_tabled:
             raise ValueError(f"the agent {name!r} {why}: there is no table of all that it may see")
     return [*opened]
+
+
+def is_computed(agent: Agent) -> bool:
+    """Return whether a page computes an agent's network: a small one that nobody has edited."""
+    its = agent.architecture
+    if its.name != COMPUTED:
+        return False
+    most = np.array(its.largest)[:, None, None] + 1
+    planes = np.random.default_rng(0).integers(0, most, (8, *its.shape)).astype(np.uint8)
+    shown = torch.from_numpy(planes)
+    network: Any = copy.deepcopy(agent.network).cpu()
+    try:
+        with torch.no_grad():
+            logits, value = network(shown)
+            usual = sparse.outputs(network, shown)  # which follows no edit, as the page
+    except (TypeError, ValueError, RuntimeError):  # other layers
+        return False
+    return torch.allclose(torch.cat([logits, value[:, None]], 1), usual, rtol=1e-3, atol=1e-3)
 
 
 def _chosen(lab: Lab) -> list[str]:
@@ -121,7 +145,7 @@ def _chosen(lab: Lab) -> list[str]:
     for name in lab.agents.paths:
         with contextlib.suppress(ValueError, OSError):  # a broken one keeps no other from the page
             agent = lab.agents.open(name)[0]
-            if agent.architecture.name == COMPUTED and is_played(games.find(agent.game)):
+            if is_computed(agent) and is_played(games.find(agent.game)):
                 chosen.append(name)
     return [*dict.fromkeys(chosen)]
 
