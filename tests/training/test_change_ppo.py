@@ -8,6 +8,7 @@ import torch
 from torch import nn
 
 from astray import load_agent
+from astray.agents.actor_critic import ActorCritic
 from astray.agents.mlp import MLP
 from astray.training import loop, ppo, rollout
 from astray.training.config import PRESETS
@@ -424,6 +425,22 @@ def test_an_edit_of_ours_is_seen(edit, monkeypatch):
         edited, _ = learned(CONFIG)
     plain, _ = learned(CONFIG.changed(**OFF))
     assert torch.equal(edited, plain)
+
+
+def test_an_edit_of_what_follows_the_heads_is_what_trains_also_in_parts(monkeypatch):
+    """Parts asked the hidden layer and the heads: agents acted otherwise than they had learned."""
+    forward, config = ActorCritic.forward, PICTURES.changed(network="patch", microbatch=8)
+
+    def bounded(network, seen):
+        logits, value = forward(network, seen)
+        return 5 * torch.tanh(logits / 5), value
+
+    monkeypatch.setattr(ActorCritic, "forward", bounded)
+    with pytest.warns(UserWarning, match="the network Convolutions as it is written"):
+        found, _ = learned(config)
+    with pytest.warns(UserWarning, match="as it is written"):
+        plain, _ = learned(config.changed(microbatch=32))
+    assert torch.equal(found, plain)
 
 
 def test_an_edit_that_compares_a_minibatch_is_not_learned_in_parts(monkeypatch):

@@ -210,7 +210,10 @@ def accelerate(
         return Accelerated(using, network.recall, network.recall, whole, loss, config)
     known, own_loss = type(network) in OURS, loss in (ppo.loss, teacher.loss)
     using = resolve(config, ours := known and own_loss, bool(architecture.largest))
-    known &= not using.fused_cpu or agree(network, config, architecture)
+    if using.fused_cpu:
+        known = agree(network, config, architecture)
+    elif using.of_network:
+        known = is_by_heads(network, architecture)
     own_loss &= not using.microbatch or is_mean(loss, config, architecture.actions)
     if ours and not (known and own_loss):
         using = resolve(config.changed(fused_cpu=None, microbatch=None), ours=False)
@@ -282,6 +285,15 @@ def _agree(network: nn.Module, config: Config, architecture: Architecture, scale
         and torch.allclose(*parts, rtol=NEAR, atol=NEAR)
         and bool((one - two).norm() <= NEAR * one.norm())
     )
+
+
+def is_by_heads(network: Any, architecture: Architecture) -> bool:
+    """Return whether a network's outputs are its heads' of its hidden layer, as in `Model`."""
+    shape, most = (2, *architecture.shape), 2 if architecture.largest else 256
+    seen = torch.from_numpy(np.random.default_rng(0).integers(0, most, shape).astype(np.uint8))
+    seen, own = seen.float() if len(shape) == 2 else seen, copy.deepcopy(network).cpu()
+    with torch.no_grad():
+        return all(map(torch.equal, own(seen), own.heads(own.hidden(seen))))
 
 
 def is_mean(loss: Loss, config: Config, actions: int) -> bool:
