@@ -176,6 +176,7 @@ LEFT = ISLANDS.walk((0, 0), [3])
     [
         (lambda: World.parse("..\n.x"), "drawn with # and ."),
         (lambda: World.parse("..\n."), "equally long"),
+        (lambda: World.parse(["..", 5]), "a line of a map must be"),
         (lambda: World.parse("##"), "at least one free cell"),
         (lambda: SMALL.walk((1, 1), [0]), "(1, 1) is a wall"),
         (lambda: SMALL.walk((0, 9), [0]), "outside"),

@@ -58,6 +58,8 @@ class World:
         """
         of_kind("a map", text, Sequence)
         rows = text.split() if isinstance(text, str) else list(text)
+        for row in rows:
+            of_kind("a line of a map", row, str)
         if not rows or len({len(row) for row in rows}) > 1:
             raise ValueError("the lines of a map must be equally long")
         unknown = set("".join(rows)) - {WALL, FREE}
