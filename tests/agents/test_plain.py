@@ -4,6 +4,7 @@ import io
 import os
 import pickle
 import struct
+import time
 
 import numpy as np
 import pytest
@@ -166,6 +167,25 @@ def test_a_setting_of_shared_tuples_is_written_in_part():
 def test_a_file_cannot_fill_the_memory_with_its_own_numbering():
     """Python's own machine makes a table of 2**31 entries for this; ours a dict of one."""
     assert plain.read(b"\x80\x03K\x07r\xff\xff\xff\x7f.") == 7
+
+
+def test_an_array_that_is_filled_ten_thousand_times_takes_no_minute():
+    pairs = b"".join(
+        pickle.BINUNICODE + struct.pack("<I", len(name)) + name + value + pickle.SETITEM
+        for name, value in {
+            b"subclass": b"cnumpy\nndarray\n",
+            b"shape": b"K\0\x85",
+            b"order": pickle.NONE,
+            b"dtype": b"cnumpy\ndtype\nX\2\0\0\0f4\x85R",
+        }.items()
+    )
+    wrapper = global_(plain.WRAPPER.replace(" ", "."), b")\x81")[2:] + b"q\1" * 45_000
+    fills = (b"h\2X\1\0\0\0kh\1") * 9_000 + b"h\2b" + b"sb" * 9_000
+    data = b"\x80\2}" + pairs + b"q\2" + wrapper + fills + b"\x86."
+    began = time.process_time()
+    described, array = plain.read(data)
+    assert (array.shape, described["k"].shape) == ((0,), (0,))
+    assert time.process_time() - began < 5
 
 
 def test_a_thousand_spoilt_files_are_refused_or_read():

@@ -310,8 +310,8 @@ def _build(m: _Machine) -> None:
         built.order = _of(str, state[1])
     elif isinstance(built, _Pending):
         m.stack[-1] = m.array(state)
-        for number in built.numbers:
-            if m.memo[number] is built:
+        while built.numbers:  # each once: a file may fill the same one many times
+            if m.memo[number := built.numbers.pop()] is built:
                 m.memo[number] = m.stack[-1]
     else:
         raise Refused(f"it sets what is inside a {type(built).__name__}")
