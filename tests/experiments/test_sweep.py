@@ -236,6 +236,14 @@ def test_knobs_of_the_test_go_together_in_any_order():
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_agents_whose_episodes_may_last_for_ever_are_swept_with_a_limit(trained, tmp_path):
+    endless = {"variant.time_limit": [2**31 - 1]}
+    with pytest.raises(ValueError, match="say `longest`"):
+        Sweep(BASE, endless)
+    run_sweep(Sweep(BASE, endless, levels=4, longest=7), tmp_path)
+    assert pl.read_parquet(tmp_path / "outcomes.parquet")["length"].max() == 7
+
+
 def test_axes_that_tables_have_themselves_keep_their_values(trained, tmp_path):
     swept = Sweep(BASE, {"levels": [100, 1000], "variant": ["corner-small"]}, levels=5)
     run_sweep(swept, tmp_path)
@@ -301,8 +309,9 @@ def test_the_verb_sweeps_what_it_is_given(astray, trained, tmp_path):
         Sweep(replace(BASE, knobs={}), TWO, seeds=3, levels=50, shift="corner-small"),
         Sweep(PRESETS["pixels"].changed(anneal=False, fused_cpu=False), {"width": [8]}),
         Sweep(replace(BASE, variant="corner", knobs={"time_limit": 9}), {"anneal": [True, False]}),
+        Sweep(BASE, {"variant.time_limit": [2**31 - 1]}, longest=7),
     ],
-    ids=["small", "own", "pixels", "knobs"],
+    ids=["small", "own", "pixels", "knobs", "endless"],
 )
 def test_the_command_that_a_report_names_makes_the_sweep(sweep, astray, monkeypatch):
     made = []
@@ -310,4 +319,4 @@ def test_the_command_that_a_report_names_makes_the_sweep(sweep, astray, monkeypa
     astray(*shlex.split(command(sweep))[1:])
     (again,) = made
     assert list(again.cells().values()) == list(sweep.cells().values())
-    assert (again.seeds, again.levels, again.shift) == (sweep.seeds, sweep.levels, sweep.shift)
+    assert again == replace(sweep, base=again.base, axes=again.axes)

@@ -136,6 +136,13 @@ def test_the_lab_opens_where_an_agent_shows_its_usual_goal_and_says_why():
     assert "the agent reaches “corner” first here, as in most levels that distinguish the" in why
 
 
+def test_a_level_is_chosen_although_its_episodes_may_last_for_ever():
+    maze, mouse = games.find("maze"), load_agent("maze-corner")
+    variant, shift = maze.variant("anywhere-small"), maze.shifts["corner-small"]
+    endless = variant.with_knobs({"time_limit": 2**31 - 1})
+    assert typical(maze, endless, shift, mouse) == typical(maze, variant, shift, mouse)
+
+
 def test_the_lab_opens_where_a_runner_passes_the_coin():
     game, runner = games.find("coinrun"), load_agent("coin-end")
     shift = game.shifts["coin-end"]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import UseAppendAction, arg
 
-from astray.cli.arguments import Preset, Shift, Workers
+from astray.cli.arguments import Longest, Preset, Shift, Workers
 from astray.cli.settings import Grouped, ungrouped
 from astray.experiments.spec import Place
 from astray.training.config import Tracking
@@ -33,6 +33,7 @@ def sweep(
     seeds: int = 1,
     test_levels: Annotated[int, arg(name="num_test_levels")] = 1000,
     shift: Shift = None,
+    longest: Longest = None,
     out: Annotated[Path | None, otherwise("sweeps/<game>-<variant>")] = None,
     workers: Workers = None,
     on: Place = "here",
@@ -62,6 +63,6 @@ def sweep(
     config = ungrouped(settings)
     there = out or Path("sweeps") / f"{config.game}-{config.variant}"
     as_text = getattr(config.training_variant(), "texts", ())  # of a World
-    wanted = Sweep(config, read_axes(axes, as_text), seeds, test_levels, shift)
+    wanted = Sweep(config, read_axes(axes, as_text), seeds, test_levels, shift, longest)
     command = command_of("astray", *sys.argv[1:])  # a World's name alone would not find it
     print(run_sweep(wanted, there, workers=workers, on=on, track=track, command=command))

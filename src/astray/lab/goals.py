@@ -78,7 +78,7 @@ def distinguishing(game: Game, variant: Variant, shift: Shift, levels: Levels) -
     """Return the levels that distinguish the goals; None if no script can soon find them out."""
     if game.real_time or not shift.proxies or {shift.intended, *shift.proxies} - {*game.walked}:
         return None
-    played = play_all(game, "shown", variant, shift, levels, [])
+    played = play_all(game, "shown", variant, shift, levels, [], longest=LONGEST)
     return played.filter("distinguishing", policy=Random().name)["level"].to_list()
 
 

@@ -60,6 +60,7 @@ def command(sweep: Sweep) -> str:
     words += ["--seeds", str(sweep.seeds)]
     words += [] if sweep.levels == LEVELS_PLAYED else ["--num-test-levels", str(sweep.levels)]
     words += [] if sweep.shift is None else ["--shift", sweep.shift]
+    words += [] if sweep.longest is None else ["--longest", str(sweep.longest)]
     return command_of(*words)
 
 

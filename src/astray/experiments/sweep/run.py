@@ -77,7 +77,7 @@ def _check_extends(sweep: Sweep, path: Path) -> None:
     """Raise FileExistsError if outcomes of another sweep would be replaced by those of fewer."""
     if not path.exists():
         return
-    told = read_json(path, dict, [*vars(sweep)])
+    told = read_json(path, dict, ["base", "axes"])
     try:
         there = Sweep(**told | {"base": Config.from_json(told["base"])})
         lacks = bool({*_agents(there)} - {*_agents(sweep)})

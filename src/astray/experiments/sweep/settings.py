@@ -29,6 +29,7 @@ class Sweep:
         seeds: Number of agents for each combination.
         levels: Number of levels for each evaluation, the first outside of the training.
         shift: Shift with intended goal and proxies; None for the one of the training.
+        longest: Steps after which an episode of an evaluation is truncated; None for no limit.
     """
 
     base: Config
@@ -36,9 +37,10 @@ class Sweep:
     seeds: int = 1
     levels: int = LEVELS_PLAYED
     shift: str | None = None
+    longest: int | None = None
 
     def __post_init__(self) -> None:
-        make_plain(self, "seeds", "levels")
+        make_plain(self, "seeds", "levels", "longest")
         of_kind("axes", self.axes, Mapping)
         for name, values in self.axes.items():
             if not isinstance(values, Iterable) or isinstance(values, str) or name != f"{name}":
@@ -88,6 +90,7 @@ class Sweep:
             tests={TRAINING: Test(config.variant, shift), TEST: Test(test, shift)},
             levels=self.levels,
             first_level=config.unseen_levels.start,
+            longest=self.longest,
             differences="",
         )
 
