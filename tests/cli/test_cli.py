@@ -272,6 +272,15 @@ def test_mistakes_are_explained(astray, words, message):
     assert message in astray(*words.split(), fails=True)
 
 
+def test_a_level_whose_episode_may_last_for_ever_is_not_explained_for_minutes_first(
+    astray, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    words = "explain maze-corner --level 3 --num-levels 4 --set time_limit=2147483647"
+    assert "lower the variant's time_limit (--set" in (told := astray(*words.split(), fails=True))
+    assert "1 of 6" not in told
+
+
 @pytest.mark.parametrize("verb", ["evaluate maze-corner", "export maze-corner --out x"])
 def test_art_is_of_who_sees_images(verb, astray):
     environment(DRAWN["maze"])  # else it is told first that there are no pictures

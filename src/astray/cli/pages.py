@@ -56,7 +56,7 @@ def explain(
         num_levels: Number of levels to fit the probes on.
         out: Folder for explain.html with its figures and tables.
     """
-    from astray.acting import initial_states
+    from astray.acting import check_ending, initial_states
     from astray.analysis.outcomes import load_shift
     from astray.analysis.runs import rehearse
     from astray.analysis.trained import Agent, looked_into
@@ -77,6 +77,7 @@ def explain(
         check_layers(agent, reads)  # pyrefly: ignore
     check_free(out, PAGE, SIGN, written(game))
     check_writable(out / PAGE)
+    check_ending(game, levels, None)
     number, why = level.find(game, levels), ""
     rehearse([policy], game, levels, [0])
     unseen = config.unseen_levels if config else range(MOST_LEVELS + 2)

@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
+from astray.acting import check_ending
 from astray.analysis import agency
 from astray.analysis.critic import observe, policy_and_value, visit
 from astray.analysis.evaluate import evaluate
@@ -94,6 +95,7 @@ def explain(asked: Asked, folder: str | Path, heading: str, progress: bool = Fal
 
     Raises:
         OSError: If the folder has files of these names that astray did not write, or no room.
+        ValueError: If episodes of the variant may last for ever.
     """
     makers: Mapping[str, Callable[[Asked], list[Section]]] = {
         "Where it would go": _fields,
@@ -103,6 +105,7 @@ def explain(asked: Asked, folder: str | Path, heading: str, progress: bool = Fal
         "What it is after": _goals,
         "Its episode": _episode,
     }
+    check_ending(asked.level.game, asked.variant, None)
     check_free(folder := path_of("folder", folder), PAGE, SIGN, written(asked.level.game))
     check_writable(folder / PAGE)
     parts: list[Section] = []
