@@ -117,12 +117,12 @@ def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
     except (KeyboardInterrupt, *passed):  # nothing tells one that the code raises from Ctrl+C
         raise
     except BaseException as error:
-        raise ValueError(f"{what} fails: {shown(error, 300)}{_place(error)}") from error
+        raise ValueError(f"{what} fails: {shown(error, 300)}{place(error)}") from error
     finally:
         getattr(sys.modules.get("torch"), "set_grad_enabled", lambda _: None)(learns)
 
 
-def _place(error: BaseException) -> str:
+def place(error: BaseException) -> str:
     """Return the last line of a user's own code that an error passed, for a sentence's end."""
     calls = [(f.f_code.co_filename, line) for f, line in traceback.walk_tb(error.__traceback__)]
     theirs = [(name, line) for name, line in calls if not OTHERS.search(name)]

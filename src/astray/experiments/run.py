@@ -16,7 +16,7 @@ from typing import Any
 import polars as pl
 import torch
 
-from astray import games, provenance
+from astray import games, imports, provenance
 from astray.analysis.outcomes import load_shift
 from astray.envs.compiled import loop_of
 from astray.envs.worlds import shown_first
@@ -289,17 +289,17 @@ def reproduce_each(names: Sequence[str], size: Size, root: Path, **how: Any) -> 
             undrawn.append(error)
     if len(undrawn) == len(plans):
         raise undrawn[0]
-    failed: dict[str, Exception] = {}
+    failed: dict[str, str] = {}
     for name in chosen:
         try:
             reproduce(name, size, root, **how)
         except Exception as error:
-            failed[name] = error
-            print(f"{name} failed, and the next goes on: {error}", file=sys.stderr, flush=True)
+            failed[name] = told = f"{brief(error)}{imports.place(error)}"
+            print(f"{name} failed, and the next goes on: {told}", file=sys.stderr, flush=True)
         else:
             report.write_index(root)
     if failed:
-        told = "; ".join(f"{name}: {brief(error)}" for name, error in failed.items())
+        told = "; ".join(f"{name}: {why}" for name, why in failed.items())
         raise RuntimeError(f"{len(failed)} of {len(chosen)} experiments failed: {told}")
     return report.write_index(root)
 
