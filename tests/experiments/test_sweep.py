@@ -244,6 +244,12 @@ def test_agents_whose_episodes_may_last_for_ever_are_swept_with_a_limit(trained,
     assert pl.read_parquet(tmp_path / "outcomes.parquet")["length"].max() == 7
 
 
+def test_a_tracker_that_cannot_be_used_is_told_before_anything_is_trained(trained, tmp_path):
+    with pytest.raises(ValueError, match="unknown tracker 'wandbb'"):
+        run_sweep(Sweep(BASE, TWO, levels=2), tmp_path, track="wandbb")
+    assert not trained and not any(tmp_path.iterdir())
+
+
 def test_axes_that_tables_have_themselves_keep_their_values(trained, tmp_path):
     swept = Sweep(BASE, {"levels": [100, 1000], "variant": ["corner-small"]}, levels=5)
     run_sweep(swept, tmp_path)

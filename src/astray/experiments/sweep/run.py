@@ -24,6 +24,7 @@ from astray.files import check_free, hold, write_aside
 from astray.report import page as report
 from astray.training.config import Config, Tracking
 from astray.training.folders import read_json
+from astray.training.track import check_installed
 from astray.validation import shown
 
 SWEPT, OUTCOMES, RATES = "sweep.json", "outcomes.parquet", "rates.csv"
@@ -48,7 +49,10 @@ def run_sweep(
 
     Raises:
         FileExistsError: If the folder has outcomes of agents that this sweep does not have.
+        ImportError: If the tracker is not installed; RuntimeError if it has no login.
     """
+    if track:
+        check_installed(track)
     check_free(folder, SWEPT, b'"axes"', (*report.WRITTEN, OUTCOMES, RATES))
     with hold(folder, "sweeps in"):
         _check_extends(sweep, folder / SWEPT)
