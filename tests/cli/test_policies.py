@@ -65,7 +65,7 @@ def test_a_script_is_evaluated_as_any_policy_and_played_once(astray, policy, sai
     assert told.count("120 all") == 3
 
 
-def test_a_policy_is_explained_as_far_as_it_can_be(astray, tmp_path, coarse, monkeypatch):
+def test_a_policy_is_explained_as_far_as_it_can_be(astray, tmp_path, undrawn, monkeypatch):
     monkeypatch.setattr(page, "PIXELS", 96)
     monkeypatch.setattr(page, "FEWER", 4)
     monkeypatch.setattr(page, "PLACES", 4)
@@ -88,6 +88,7 @@ def test_what_a_policy_needs_besides_is_said(astray, verb):
         )
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     "words",
     [
