@@ -192,14 +192,6 @@ def test_a_file_of_twice_procgens_size_is_not_opened(pack, tmp_path):
         original.take(tmp_path / "a.whl")
 
 
-def test_an_import_removes_what_a_killed_one_left(pack, tmp_path):
-    (art := tmp_path / "art" / "kenney").mkdir(parents=True)
-    for name in (".a.png.", ".mine.png."):
-        (art / f"{name}{32 * 'e'}").write_bytes(b"half of it")
-    assert original.take(wheel_of(tmp_path / "a.whl", pack)) == []
-    assert {*os.listdir(art)} == {f".mine.png.{32 * 'e'}", "a.png", "Items"}
-
-
 def test_two_imports_at_once_both_succeed(pack, tmp_path, monkeypatch):
     wheel, write, found = wheel_of(tmp_path / "a.whl", pack), original.write_aside, []
     both = threading.Barrier(2)  # each has looked before the other writes, if nobody waits

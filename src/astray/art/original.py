@@ -26,7 +26,7 @@ import numpy as np
 import platformdirs
 from PIL import Image
 
-from astray.files import archive_of, check_readable, hold, remove_left, write_aside
+from astray.files import archive_of, check_readable, hold, write_aside
 from astray.game import Looks
 from astray.kernel.qt import GENERIC, SPRITE
 from astray.validation import brief, shown
@@ -128,7 +128,6 @@ def take(source: Path | None = None) -> list[str]:
                     f"{kept} is not Procgen's picture; where it is gone, that is imported"
                 )
         for kept, data in lacking.items():
-            remove_left(kept.parent, {kept.name})  # by an import that was killed
             write_aside(kept, data)
     return missing()
 
