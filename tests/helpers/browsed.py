@@ -3,6 +3,7 @@
 import functools
 import http.server
 import json
+import secrets
 import shutil
 import socket
 import threading
@@ -195,9 +196,10 @@ def lab_served(lab, port=None):
 
     from astray.lab.server import make_app
 
+    token = TOKEN if port else f"{TOKEN}-{secrets.token_hex(4)}"  # another's files are not cached
     port = port or free_port()
     config = uvicorn.Config(
-        make_app(lab, TOKEN, port),
+        make_app(lab, token, port),
         host="127.0.0.1",
         port=port,
         log_level="error",
@@ -213,7 +215,7 @@ def lab_served(lab, port=None):
         assert thread.is_alive() and time.monotonic() < end
         time.sleep(0.02)
     try:
-        yield f"http://127.0.0.1:{port}/{TOKEN}/"
+        yield f"http://127.0.0.1:{port}/{token}/"
     finally:
         server.should_exit = True
         thread.join()

@@ -54,7 +54,12 @@ def test_the_page_runs_no_script_but_its_own(served):
 
 
 def test_every_file_of_the_page_is_served_and_nothing_else(served):
-    assert all(fetched(served, path)[0] == 200 for path in files())
+    told = {path: fetched(served, path) for path in files()}
+    assert all(status == 200 for status, *_ in told.values())
+    kept = {
+        path for path, (_, headers, _) in told.items() if headers["cache-control"] != "no-store"
+    }
+    assert kept == {*files()} - {"index.html"}  # a new server has another address
     for path in ("../server.py", "..%2Fserver.py", "%2e%2e/server.py", "lab.py", "/etc/passwd"):
         assert fetched(served, path)[0] == 404
 

@@ -86,8 +86,9 @@ def make_app(lab: Lab, token: str, port: int) -> Any:
         if request.headers.get("host") not in hosts or not known or path not in served:
             return Response("there is nothing here", 404, {"Content-Security-Policy": policy})
         data, kind = served[path]
+        kept = "no-store" if kind == TYPES[".html"] else "private, max-age=3600"  # by this token
         headers = {
-            "Cache-Control": "no-store",
+            "Cache-Control": kept,
             "Content-Security-Policy": policy,
             "Cross-Origin-Resource-Policy": "same-origin",
             "Referrer-Policy": "no-referrer",
