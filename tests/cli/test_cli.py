@@ -299,6 +299,8 @@ def test_an_unknown_action_is_explained(astray, tmp_path):
     path.write_text("left jump")
     words = ("replay", "maze", "corner", "--level", "1", "--actions", path)
     assert "unknown action 'jump'; there are: 0 left-down" in astray(*words, fails=True)
+    path.write_text("left " + 5000 * "9")
+    assert "unknown action '9999" in (told := astray(*words, fails=True)) and len(told) < 1000
     path.write_bytes(b"left \xff\x00")
     assert f"astray: {path}: 'utf-8' codec can't decode" in astray(*words, fails=True)
 

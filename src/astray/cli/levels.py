@@ -23,8 +23,10 @@ from astray.game import OWN, Game
 from astray.level import Level
 from astray.level_files import text_of
 from astray.record import NEVER
+from astray.validation import shown
 
 LONGEST = 2**20  # characters of actions: more than any episode has
+DIGITS = 10  # fewer are of a number of an action
 
 
 def level(game: Drawn, levels: str = "0", text: bool = False, json: Json = False) -> None:
@@ -147,12 +149,12 @@ def action_numbers(game: Game, text: str) -> list[int]:
     found = []
     for word in text.replace(",", " ").replace("[", " ").replace("]", " ").split():
         name = word.strip("\"'")
-        number = int(name) if name.isdecimal() else NEVER
+        number = int(name) if name.isdecimal() and len(name) < DIGITS else NEVER
         if name in game.actions:
             number = game.actions.index(name)
         if not 0 <= number < len(game.actions):
             there = ", ".join(f"{k} {a}" for k, a in enumerate(game.actions))
-            raise ValueError(f"unknown action {name!r}; there are: {there}")
+            raise ValueError(f"unknown action {shown(name)}; there are: {there}")
         found.append(number)
     return found
 
