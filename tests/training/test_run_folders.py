@@ -201,6 +201,13 @@ def test_who_has_no_home_folder_has_the_agents_that_come_with_astray(monkeypatch
         folders.check_new("mine")
 
 
+@pytest.mark.parametrize("name", ["random", "solver"])
+def test_an_agent_has_no_name_of_a_policy_or_a_teacher(name, tmp_path):
+    """Verbs then took the policy; a verdict took the agent's own episodes for the policy's."""
+    with pytest.raises(ValueError, match=f"must be no policy's or teacher's; got '{name}'"):
+        folders.check_new(name, tmp_path)
+
+
 def test_a_file_that_shrinks_does_not_kill_who_has_read_it(tmp_path):
     shutil.copytree(folders.find("maze-corner"), tmp_path / "mouse")
     weights = folders.AgentFolder.open(tmp_path / "mouse").weights

@@ -25,7 +25,7 @@ from safetensors.numpy import load as from_bytes
 
 from astray import agents
 from astray.files import check_writable, new_folder, read
-from astray.training.config import Config
+from astray.training.config import SOLVER, Config
 from astray.validation import finite, path_of, shown
 
 PRETRAINED = Path(agents.__path__[0]) / "pretrained"  # also in wheels
@@ -37,6 +37,7 @@ DEVIATION = "reward_deviation"  # beside the settings of an agent that was kept
 MOMENTS = "training.moments"
 LARGEST = 2**20  # bytes of a file of JSON
 STEPS = re.compile(r"0|[1-9][0-9]{0,17}")  # names of checkpoints
+RANDOM = "random"  # a policy, which verbs and verdicts find by its name
 NAME = re.compile(r"(?!.{101})[a-z0-9]+(-[a-z0-9]+)*")
 
 
@@ -230,6 +231,8 @@ def check_new(name: str, *homes: Path) -> None:
         raise ValueError(
             f"an agent's name must be of a-z, 0-9 and -, at most 100; got {shown(name)}"
         )
+    if name in (RANDOM, SOLVER):
+        raise ValueError(f"an agent's name must be no policy's or teacher's; got {name!r}")
     for one in homes or (PRETRAINED, home()):
         if f"{one}" != f"{one}".encode(errors="replace").decode():  # tables have its path
             raise ValueError(f"a folder of agents must have a name in UTF-8; got {shown(f'{one}')}")
