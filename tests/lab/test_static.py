@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch import nn
 
 from astray import games, grid, load_agent
 from astray.acting import initial_states
+from astray.agents.mlp import MLP
 from astray.agents.policy import Architecture
 from astray.analysis.critic import policy_and_value
 from astray.analysis.replay import replay
@@ -682,7 +682,8 @@ def test_an_agent_is_exported_though_its_training_has_removed_the_checkpoint(unt
 
 def test_an_agent_whose_network_was_edited_is_not_exported(monkeypatch, tmp_path):
     """The page computed the one from before the edit, and drew other arrows."""
-    monkeypatch.setattr(nn, "ReLU", nn.Tanh)
+    hidden = MLP.hidden
+    monkeypatch.setattr(MLP, "hidden", lambda network, seen: 2 * hidden(network, seen))
     lab = make_lab("maze-corner", {"level": 0})
     with pytest.raises(ValueError, match="'maze-corner' has an edited mlp; a page computes"):
         export(lab, tmp_path / "site", 1, ["maze-corner"])

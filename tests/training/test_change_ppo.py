@@ -1,17 +1,22 @@
 """A network or a loss of one's own trains as it is written, and so does an edit of ours."""
 
+import importlib.util
 import inspect
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 from torch import nn
 
 from astray import load_agent
+from astray.agents import mlp
 from astray.agents.actor_critic import ActorCritic
 from astray.agents.mlp import MLP
 from astray.training import loop, ppo, rollout
 from astray.training.config import PRESETS
+from astray.training.fast import unedited
 from astray.training.trainer import Trainer
 from helpers.trainings import PICTURES
 
@@ -409,14 +414,22 @@ def bounded_logits(monkeypatch):
 
 
 def bounded_activation(monkeypatch):
-    monkeypatch.setattr(nn, "ReLU", nn.ReLU6)
+    dense = mlp.dense
+    bounded = lambda layer: nn.ReLU6() if isinstance(layer, nn.ReLU) else layer  # noqa: E731
+    monkeypatch.setattr(mlp, "dense", lambda *sizes: nn.Sequential(*map(bounded, dense(*sizes))))
+
+
+def faint_penalty(monkeypatch):
+    """A thousandth of the loss, which rounding would hide where numbers are large."""
+    loss = ppo.value_loss
+    monkeypatch.setattr(ppo, "value_loss", lambda v, *its: loss(v, *its) + 1e-6 * (v**2).mean())
 
 
 @pytest.mark.parametrize(
     "edit",
     [
         double_entropy, other_clip, other_activation, one_head_more, dual_clip, huber,
-        bounded_logits, bounded_activation,
+        bounded_logits, bounded_activation, faint_penalty,
     ],
 )  # fmt: skip
 def test_an_edit_of_ours_is_seen(edit, monkeypatch):
@@ -453,6 +466,35 @@ def test_an_edit_that_compares_a_minibatch_is_not_learned_in_parts(monkeypatch):
     with pytest.warns(UserWarning, match="the loss .* as it is written"):
         plain, _ = learned(config.changed(microbatch=32))
     assert torch.equal(found, plain)
+
+
+def test_an_edit_that_shows_in_learning_alone_is_seen(monkeypatch):
+    dense = mlp.dense
+    monkeypatch.setattr(mlp, "dense", lambda *sizes: nn.Sequential(dense(*sizes), nn.Dropout(0.5)))
+    with pytest.warns(UserWarning, match="the network MLP as it is written"):
+        learned(CONFIG)
+
+
+@pytest.mark.parametrize("name", unedited.WRITTEN)
+def test_what_accelerations_stand_for_is_what_is_written(name):
+    """It fails at an edit: see that `training.fast` computes the same, and note the digest."""
+    module, _, its = name.rpartition(".")
+    assert unedited.digest(getattr(importlib.import_module(module), its)) == unedited.WRITTEN[name]
+
+
+def test_comments_make_no_difference_and_a_constant_does(tmp_path, monkeypatch):
+    source, before = Path(ppo.__file__).read_text("utf-8"), "    mean_entropy = entropy(of_all)\n"
+    assert source.count(before) == 1
+    found = []
+    for after in (f"    # Why not?\n{before}", before.replace("= ", "= 2 * ")):
+        path = tmp_path / f"edited_{len(found)}.py"
+        path.write_text(source.replace(before, after), "utf-8")
+        spec = importlib.util.spec_from_file_location(ppo.__name__, path)
+        edited = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, ppo.__name__, edited)
+        spec.loader.exec_module(edited)
+        found.append(unedited.is_unedited(edited.loss))
+    assert found == [True, False]
 
 
 EDITS = {  # of `loop.collect`

@@ -7,7 +7,6 @@ place of goal and agent, facing left or right, the policy and the value, one byt
 
 import base64
 import contextlib
-import copy
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -15,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from astray import games
 from astray.acting import initial_states
@@ -36,7 +34,7 @@ from astray.lab.worlds import is_played
 from astray.level import Level
 from astray.record import NEVER, record_dtype
 from astray.training.config import Config
-from astray.training.fast import sparse
+from astray.training.fast.unedited import is_unedited
 from astray.validation import MOST, bounded, of_kind, path_of
 
 DRAWS = 100_000  # from the twister of a level's number, at most, until the level begins
@@ -123,20 +121,7 @@ def check_exportable(
 
 def is_computed(agent: Agent) -> bool:
     """Return whether a page computes an agent's network: a small one that nobody has edited."""
-    its = agent.architecture
-    if its.name != COMPUTED:
-        return False
-    most = np.array(its.largest)[:, None, None] + 1
-    planes = np.random.default_rng(0).integers(0, most, (8, *its.shape)).astype(np.uint8)
-    shown = torch.from_numpy(planes)
-    network: Any = copy.deepcopy(agent.network).cpu()
-    try:
-        with torch.no_grad():
-            logits, value = network(shown)
-            usual = sparse.outputs(network, shown)  # which follows no edit, as the page
-    except (TypeError, ValueError, RuntimeError):  # other layers
-        return False
-    return torch.allclose(torch.cat([logits, value[:, None]], 1), usual, rtol=1e-3, atol=1e-3)
+    return agent.architecture.name == COMPUTED and is_unedited(type(agent.network))
 
 
 def _chosen(lab: Lab) -> list[str]:

@@ -12,6 +12,7 @@ from astray.agents.recurrent import Recurrent
 from astray.training import ppo
 from astray.training.config import Config
 from astray.training.fast import acceleration
+from astray.training.fast.unedited import is_unedited
 from astray.training.ppo import Samples, Sequences
 from astray.training.trainer import Trainer
 from astray.validation import shown
@@ -36,7 +37,8 @@ def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
         check_recalled(trainer.network, samples)
     elif not using.of_network:
         check_memoryless(trainer.network, samples, config)
-    if not is_own(config.network):
+    kind = type(trainer.network)
+    if not is_own(config.network) or (kind in acceleration.OURS and not is_unedited(kind)):
         seen = samples.observation
         check_modes(trainer, seen[0] if isinstance(samples, Sequences) else seen[:SOME])
     if not using.bfloat16:

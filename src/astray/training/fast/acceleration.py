@@ -5,7 +5,6 @@ Each setting can be switched off. With all off, or with a custom network or loss
 """
 
 import contextlib
-import copy
 import os
 import shutil
 import sys
@@ -35,6 +34,7 @@ from astray.agents.recurrent import Recurrent
 from astray.training import parallel, ppo, teacher
 from astray.training.config import Config
 from astray.training.fast import fused, microbatches, sparse
+from astray.training.fast.unedited import is_unedited
 from astray.training.ppo import Samples, Sequences
 
 Loss = Callable[[Any, Samples, Config], dict[str, Tensor]]
@@ -44,7 +44,6 @@ MICROBATCH = {"impala": 128, "clear": 128, "cells": 128}
 LAYOUT = ("impala", "cells")  # networks whose weights may be channels-last
 LARGER = 1024  # images, for networks with smaller layers
 AT_ONCE = 8192  # images that are valued; the largest layer has fewer than 2**31 outputs then
-SCALES = (1, 4, 16)  # of the samples that kernels are compared on
 NEAR = 1e-3  # largest relative difference of the kernels' loss and gradient, in float32
 
 
@@ -210,11 +209,10 @@ def accelerate(
         return Accelerated(using, network.recall, network.recall, whole, loss, config)
     known, own_loss = type(network) in OURS, loss in (ppo.loss, teacher.loss)
     using = resolve(config, ours := known and own_loss, bool(architecture.largest))
+    if using.of_network:
+        known, own_loss = is_unedited(type(network)), is_unedited(loss)
     if using.fused_cpu:
-        known = agree(network, config, architecture)
-    elif using.of_network:
-        known = is_by_heads(network, architecture)
-    own_loss &= not using.microbatch or is_mean(loss, config, architecture.actions)
+        known = known and agree(network, config, architecture)
     if ours and not (known and own_loss):
         using = resolve(config.changed(fused_cpu=None, microbatch=None), ours=False)
     if not (known and own_loss):
@@ -253,26 +251,26 @@ def _told(network: Recurrent, batch: Samples) -> Callable:
 
 
 def agree(network: nn.Module, config: Config, architecture: Architecture) -> bool:
-    """Return whether the kernels compute the current network and `ppo.loss`.
+    """Return whether the kernels compute a network and `ppo.loss`, as on synthetic samples.
 
-    The kernels do not follow an edit of either; comparisons on synthetic samples reveal it, also
-    of larger numbers than a training begins with: an edit may only change what is done with those.
+    Layers may have been replaced where they are, of which its code tells nothing.
     """
-    return all(_agree(network, config, architecture, scale) for scale in SCALES)
-
-
-def _agree(network: nn.Module, config: Config, architecture: Architecture, scale: int) -> bool:
-    """Compare on samples whose numbers, and for 2 and more the weights, are of a scale."""
-    random, many = np.random.default_rng(0), 64
+    random, actions, many = np.random.default_rng(0), architecture.actions, 64
     largest = np.array(architecture.largest)[:, None, None] + 1
     planes = random.integers(0, largest, (many, *architecture.shape)).astype(np.uint8)
+    noise = torch.from_numpy(random.normal(size=(4, many)).astype(np.float32))
+    action = torch.from_numpy(random.integers(0, actions, many))
     with torch.no_grad():
-        if scale > 1:
-            network = copy.deepcopy(network)
-            for x in network.parameters():
-                spread = (scale / x.shape[-1]) ** 0.5
-                x.copy_(torch.from_numpy(random.normal(0, spread, x.shape)))
-    batch = _made_up(network, torch.from_numpy(planes), random, scale)
+        logits, value = network(torch.from_numpy(planes))
+        old = ppo.log_probabilities(logits).gather(1, action[:, None])[:, 0]
+    batch = Samples(
+        torch.from_numpy(planes),
+        action,
+        old + 0.3 * noise[0],
+        value + 0.3 * noise[1],
+        noise[2],
+        value + noise[3],
+    )
     plain = ppo.loss(network, batch, config)
     try:
         fast = Model(network, ppo.loss, config, Acceleration(fused_cpu=True)).loss(batch)
@@ -285,36 +283,6 @@ def _agree(network: nn.Module, config: Config, architecture: Architecture, scale
         and torch.allclose(*parts, rtol=NEAR, atol=NEAR)
         and bool((one - two).norm() <= NEAR * one.norm())
     )
-
-
-def is_by_heads(network: Any, architecture: Architecture) -> bool:
-    """Return whether a network's outputs are its heads' of its hidden layer, as in `Model`."""
-    shape, most = (2, *architecture.shape), 2 if architecture.largest else 256
-    seen = torch.from_numpy(np.random.default_rng(0).integers(0, most, shape).astype(np.uint8))
-    seen, own = seen.float() if len(shape) == 2 else seen, copy.deepcopy(network).cpu()
-    with torch.no_grad():
-        return all(map(torch.equal, own(seen), own.heads(own.hidden(seen))))
-
-
-def is_mean(loss: Loss, config: Config, actions: int) -> bool:
-    """Return whether a loss on a minibatch is the mean of those on its parts."""
-    random, many = np.random.default_rng(0), 64
-    said = torch.from_numpy(random.normal(size=(many, actions + 1)).astype(np.float32))
-    network = lambda at: (said[at, :-1], said[at, -1])  # noqa: E731
-    made = _made_up(network, torch.arange(many), random, 4)
-    batch = teacher.Taught(**vars(made), wanted=ppo.log_probabilities(said[:, :-1].flip(0)))
-    whole, *parts = (loss(network, x, config)["loss"] for x in (batch, *batch.split(many // 2)))
-    return torch.allclose(torch.stack(parts).mean(), whole, rtol=NEAR)
-
-
-@torch.no_grad()
-def _made_up(network: Callable, seen: Tensor, random: np.random.Generator, scale: int) -> Samples:
-    """Return synthetic samples of a network that is shown `seen` [B, ...]."""
-    logits, value = network(seen)
-    noise = torch.from_numpy(random.normal(size=(4, len(seen))).astype(np.float32)) * scale
-    action = torch.from_numpy(random.integers(0, logits.shape[1], len(seen)))
-    old = ppo.log_probabilities(logits).gather(1, action[:, None])[:, 0] + 0.3 * noise[0]
-    return Samples(seen, action, old, value + 0.3 * noise[1], noise[2], value + noise[3])
 
 
 def agreement(fast: Accelerated, network: nn.Module, batch: Samples, config: Config) -> dict:
