@@ -1,7 +1,7 @@
-"""Whether losses and networks are those that accelerations were written for.
+"""Whether losses and networks are still those that accelerations were written for.
 
-An edit of one is not followed by what computes it in another way. Numbers cannot tell them apart
-for certain: an edit may change only what is done with some. So their code is compared.
+An acceleration does not follow an edit of what it computes. A comparison of numbers can miss an
+edit, which may change only what is done with some of them. So the code is compared.
 """
 
 import ast
@@ -14,8 +14,8 @@ from typing import Any
 
 from astray.provenance import ITSELF
 
-# Digests as `digest` tells them. Whoever edits one sees that what `training.fast`, and the lab's
-# page for MLP, compute is still the same.
+# Their digests. After an edit of one, check that `training.fast`, and the lab's page for MLP, still
+# compute the same, and note the new digest.
 WRITTEN = {
     "astray.training.ppo.loss": "8b13054d18856c49",
     "astray.training.teacher.loss": "a6b784347f726934",
@@ -39,7 +39,7 @@ def is_unedited(thing: Callable) -> bool:
 def digest(thing: Callable) -> str:
     """Return a digest of the code of a function or class and of what it names in turn.
 
-    Of what is not astray's own nothing counts; comments, docstrings and layout make no difference.
+    Only astray's own code counts, without comments, docstrings and layout.
 
     Raises:
         OSError: If a source cannot be read.
