@@ -242,6 +242,14 @@ def test_one_agent_alone_has_no_interval_over_agents():
     assert np.isnan(over_agents(np.ones((1, 2)))).tolist() == [[False] * 2, [True] * 2, [True] * 2]
 
 
+@pytest.mark.parametrize("value", [0.0, 0.1, 10.0])
+def test_agents_that_are_all_equal_have_no_interval_without_width(value):
+    """As where the last episodes of each training all reach the goal."""
+    alike, apart = over_agents(np.array([[value, 1.0], [value, 2.0], [value, 4.0]])).T
+    assert alike[0] == pytest.approx(value) and np.isnan(alike[1:]).all()
+    assert apart[1] < apart[0] < apart[2]
+
+
 def test_columns_that_are_missing_are_named():
     with pytest.raises(ValueError, match=r"no column colour, worth; there are: \['agent'"):
         group_means(steps(), "worth", ["colour"])

@@ -47,7 +47,8 @@ def quantile(freedom: float, below: float = (1 + CONFIDENCE) / 2) -> float:
 def over_agents(values: np.ndarray) -> np.ndarray:
     """Return the mean of `values` [agents, points] at each point with 95 % intervals, [3, points].
 
-    The interval is Student's t over agents; for a single agent it is NaN.
+    The interval is Student's t over agents. It is NaN for a single agent, and at points where all
+    agents are equal: they do not say how much others differ.
 
     Raises:
         ValueError: If `values` are not of that shape.
@@ -61,6 +62,7 @@ def over_agents(values: np.ndarray) -> np.ndarray:
     if agents == 1:
         return np.stack([mean, *np.full((2, len(mean)), np.nan)])
     half = quantile(agents - 1) * np.sqrt(values.var(0, ddof=1) / agents)
+    half[half <= ROUNDED * abs(mean)] = np.nan
     return np.stack([mean, mean - half, mean + half])
 
 
