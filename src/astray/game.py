@@ -141,7 +141,7 @@ def check_goals(rules: Any) -> None:
     Events and measures are columns of one table: they differ in name from each other and from its
     other columns. Goals and ends differ in name, too.
     """
-    check_ends(rules.ends)
+    check_ends(rules.ends, rules.goals)
     if taken := {*COLUMNS} & {*rules.events, *rules.measures}:
         named = ", ".join(sorted(taken))
         raise ValueError(f"events or measures of {rules.name} have the names of columns: {named}")

@@ -21,12 +21,12 @@ from astray.agency.agents import Agents, AtGoal, of_every_cell
 from astray.agency.devices import First, Observation
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.steps import SURE, Noise, Rule, log_product, log_table, rule
+from astray.outcome import OTHER
 from astray.validation import MOST, bounded, check_words, finite, of_kind, one_of
 
 Goals = Literal["accessible and true", "accessible", "all cells"]
 Goal = Cell | str  # a cell, or a name
 TRUE = "true goal"
-OTHER = "another cell"  # goal-directed, but to none of the goals that have a name
 
 
 @dataclass(frozen=True)

@@ -23,13 +23,12 @@ from astray.analysis import video
 from astray.analysis.estimates import Estimate, estimate_mean
 from astray.analysis.outcomes import load_shift
 from astray.game import Game, Shift, Variant
+from astray.outcome import DEVICE, UNDECIDED
 from astray.validation import check_cell, counted, one_of
 from astray.witness import witnessed
 from astray.world import Layout, World, WorldVariant
 
-DEVICE = "device"
 PLACE = ("agent_x", "agent_y")  # measures of a world's episodes: the cell of the agent
-UNDECIDED = "undecided"
 LEAST, MOST = np.array([244, 243, 236]), np.array([196, 60, 20])  # colours of the posterior
 STONE, MOUSE = np.array([204, 184, 142]), np.array([34, 34, 34])  # walls are sand, as in the game
 

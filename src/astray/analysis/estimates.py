@@ -47,17 +47,14 @@ def quantile(freedom: float, below: float = (1 + CONFIDENCE) / 2) -> float:
 def over_agents(values: np.ndarray) -> np.ndarray:
     """Return the mean of `values` [agents, points] at each point with 95 % intervals, [3, points].
 
-    The interval is Student's t over agents. It is NaN for a single agent, and at points where all
-    agents are equal: they do not say how much others differ.
+    The interval is Student's t over agents; it is NaN for one, or for equal ones, without spread.
 
     Raises:
         ValueError: If `values` are not of that shape.
     """
     of_kind("values", values, np.ndarray)
     if values.ndim != 2 or not values.size:
-        raise ValueError(
-            f"values must be [agents, points], at least one of each; got {values.shape}"
-        )
+        raise ValueError(f"values must be [agents, points], not empty; got {values.shape}")
     agents, mean = len(values), values.mean(0)
     if agents == 1:
         return np.stack([mean, *np.full((2, len(mean)), np.nan)])

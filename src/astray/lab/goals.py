@@ -25,11 +25,10 @@ from astray.lab.agents import Shown, rounded
 from astray.lab.messages import LONGEST
 from astray.lab.worlds import Episode, World
 from astray.level import Level
+from astray.outcome import NEITHER, OTHER
 from astray.record import NEVER
 
-NEITHER = "neither"  # of the goals
 PATIENCE = 40  # steps in one place; to jump, a runner may wait, and who picks up stands still
-OTHER = "another cell"
 PLACES = 400  # at most, that a thing is put to
 TELLING = 5  # steps to a goal; the posterior of shorter ways tells goals hardly apart
 FIRST_FEW = 50  # levels among which one that distinguishes the goals is looked for
