@@ -187,6 +187,7 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: measure(Episode(ISLANDS, LEFT, (2, 0))), "(2, 0) is a wall"),
         (lambda: measure(Episode(ISLANDS, LEFT, (4, 0))), "no way leads to the goal (4, 0)"),
         (lambda: measure(Episode(ISLANDS, LEFT)), "must have a true goal"),
+        (lambda: measure(Episode(ISLANDS, LEFT, ())), "must be two integers, x and y; got ()"),  # pyrefly: ignore
         (lambda: measure([]), "no episodes"),
         (lambda: measure_named([Episode(ISLANDS, LEFT)], [{"far": [(4, 0)]}]), "no way leads"),
         (lambda: measure_named([Episode(ISLANDS, LEFT)], [{"far": []}]), "at least one cell"),
@@ -240,6 +241,13 @@ def test_what_makes_no_sense_is_refused(wrong, words):
 
 def by_hand(cells, actions):
     return Trajectory(np.array(cells), np.array(actions))
+
+
+def test_a_true_goal_may_be_an_array():
+    """Its truth value was asked for, which an array lacks."""
+    cell = (1, 0)
+    given = measure(Episode(ISLANDS, LEFT, np.array(cell)))  # pyrefly: ignore
+    assert given.agent == measure(Episode(ISLANDS, LEFT, cell)).agent
 
 
 def test_cells_out_of_reach_are_no_goals():

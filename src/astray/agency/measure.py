@@ -11,7 +11,7 @@ All evidence is a natural logarithm (nats). The two presets:
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import expit, logsumexp
@@ -161,7 +161,7 @@ def goals_in(
         goals.append(TRUE)
         if any(episode.true is None for episode in episodes):
             raise ValueError("an episode must have a true goal, as the goals name it; got none")
-        columns = [np.append(accessible, _number(one, one.true)) for one in episodes if one.true]
+        columns = [np.append(accessible, _number(one, one.true)) for one in episodes]
     prior = world.free.size if options.goals == "all cells" else len(goals)
     return goals, prior, columns
 
@@ -240,7 +240,7 @@ def _rule(episodes: Sequence[Episode], options: Options) -> Rule:
     return rule(sum(len(episode.trajectory) for episode in episodes), options.beta)
 
 
-def _number(episode: Episode, cell: Cell) -> int:
+def _number(episode: Episode, cell: Any) -> int:
     """Return the number of a goal's cell, which must be reachable."""
     number = episode.world.number(cell)
     if not np.isfinite(episode.world.distance[episode.trajectory.cells[0], number]):
