@@ -259,6 +259,17 @@ def test_a_table_of_more_rows_than_the_memory_holds_is_not_read(tmp_path, monkey
         read_table(path)
 
 
+def test_observations_that_a_file_holds_once_for_all_rows_are_not_read(tmp_path, monkeypatch):
+    """In memory each row has its own: a file of 30 kB took 12 GB."""
+    folder = dataset.export(SYMBOLS, "maze", "corner-small", [0], tmp_path / "set", longest=2)
+    first = pl.read_parquet(part := folder / "steps" / "00000.parquet").head(1)
+    first.select(pl.all().repeat_by(10**5).explode()).write_parquet(part)
+    assert part.stat().st_size < 10**5
+    monkeypatch.setattr(memory, "available", lambda: 10**8)
+    with pytest.raises(MemoryError, match=r"the table .* needs? 1.. GB of memory; there are 0.1"):
+        next(dataset.read_trajectories(folder))
+
+
 def test_episodes_that_do_not_fit_into_memory_are_left_with_what_helps(tmp_path, monkeypatch):
     monkeypatch.setattr(memory, "available", lambda: 10**6)
     monkeypatch.setattr(dataset, "LOOKS", 8)

@@ -12,6 +12,9 @@ from astray.memory import check_memory
 from astray.validation import brief, path_of
 
 NUMBER = 8  # bytes of most of a table's values in memory
+COPIES = (
+    3  # of text and bytes, which a file may hold once for all rows: polars', and those made of it
+)
 SIGN = b"sha256 of the rest, by astray: "  # with a digest, between a Parquet file's data and footer
 # The footer's beginning, in Thrift: a version, and a list of at most 255 parts: the table, its
 # columns, and what lies in these. Some 400 in each other overflow polars' stack: Python ends.
@@ -49,7 +52,8 @@ def read_table(path: Path, signed: bool = False) -> pl.DataFrame:
         file = pl.scan_parquet(io.BytesIO(data))
         count = file.select(pl.len()).collect().item() * len(file.collect_schema())
         check_memory(NUMBER * count, f"the table {path}")  # of which a few bytes may be millions
-        return file.collect()
+        check_memory(COPIES * (table := file.collect()).estimated_size(), f"the table {path}")
+        return table
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise ValueError(f"{path} is not a table of astray's: {brief(error)}") from error
 
