@@ -236,7 +236,8 @@ def bytes_of(value):
         ("steps/00000.parquet", pl.lit(None, pl.Float64).alias("reward"), "a row for each state"),
         ("episodes.parquet", C("return") + 1, "has no such episode of level 0"),
         ("episodes.parquet", pl.lit("a").alias("level"), "has no such episode of level 0"),
-        ("episodes.parquet", pl.concat_list("level"), "is not as astray writes it"),
+        ("episodes.parquet", pl.concat_list("level"), "it must be without lists"),
+        ("steps/00000.parquet", C("action").implode(), "it must be without lists"),
     ],
 )
 def test_what_export_does_not_write_is_refused(tmp_path, file, changed, message):

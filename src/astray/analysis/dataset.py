@@ -248,9 +248,10 @@ def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Traject
         raise ValueError(f"{path} cannot be read as a data set: {brief(error)}") from error
     path = folder / "episodes.parquet"
     try:
-        left = Counter(read_table(path).rows())
+        left = Counter(read_table(path, flat=True).rows())
         for path in sorted((folder / "steps").glob("[0-9]*.parquet")):
-            for one in _trajectories(read_table(path), game, *played):
+            table = read_table(path, flat=not isinstance(game, World))  # whose actions may be lists
+            for one in _trajectories(table, game, *played):
                 left[told := tuple(_episode(one, game).values())] -= 1
                 if left[told] < 0:
                     raise ValueError(f"episodes.parquet has no such episode of level {one.level}")

@@ -35,8 +35,8 @@ def write_table(table: pl.DataFrame, path: Path) -> None:
     return write_aside(path, data[:at] + SIGN + hashlib.sha256(data).digest() + data[at:])
 
 
-def read_table(path: Path, signed: bool = False) -> pl.DataFrame:
-    """Return the table of a Parquet file.
+def read_table(path: Path, signed: bool = False, flat: bool = False) -> pl.DataFrame:
+    """Return the table of a Parquet file, which has no lists, of any length, if it is to be `flat`.
 
     Raises:
         MemoryError: If so many rows do not fit.
@@ -50,6 +50,8 @@ def read_table(path: Path, signed: bool = False) -> pl.DataFrame:
         raise ValueError(f"{path} is not a table of astray's: it must be of at most 254 columns")
     try:  # polars would expand [ and * in a path; damaged tables may make it panic
         file = pl.scan_parquet(io.BytesIO(data))
+        if flat and any(kind.is_nested() for kind in file.collect_schema().dtypes()):
+            raise ValueError(f"{path} is not a table of astray's: it must be without lists")
         count = file.select(pl.len()).collect().item() * len(file.collect_schema())
         check_memory(NUMBER * count, f"the table {path}")  # of which a few bytes may be millions
         check_memory(COPIES * (table := file.collect()).estimated_size(), f"the table {path}")
