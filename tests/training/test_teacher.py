@@ -11,6 +11,7 @@ import torch
 from safetensors.torch import load_file
 
 import astray
+from astray import files
 from astray.acting import Answer, initial_states
 from astray.agents.policy import Architecture
 from astray.cli.distil import distil
@@ -212,6 +213,20 @@ def test_students_have_one_teacher_though_it_trains_meanwhile(tmp_path, weights,
     monkeypatch.setattr("astray.training.track.train_tracked", train_on)
     distil(run, observation="symbolic", steps=16_384, seeds=2, out=out)
     assert len({(out / f"seed-{k}" / TEACHER).read_bytes() for k in range(2)}) == 1
+
+
+def test_a_second_distillation_leaves_the_first_its_teacher(tmp_path, weights):
+    """It is refused, and the first one's next student had no teacher, an hour later."""
+    out, run = tmp_path / "students", weights.parents[2]
+    with checkpoint.teaching(weights, out / "seed-1"), files.hold(out / "seed-0", "trains in"):
+        with pytest.raises(checkpoint.Claimed):
+            distil(run, observation="symbolic", steps=16_384, seeds=2, out=out)
+        with pytest.raises(KeyboardInterrupt), checkpoint.teaching(weights, out / "seed-1"):
+            raise KeyboardInterrupt
+        assert all((out / f"seed-{k}" / TEACHER).exists() for k in range(2))
+    with pytest.raises(KeyboardInterrupt), checkpoint.teaching(weights, out / "seed-2"):
+        raise KeyboardInterrupt
+    assert not (out / "seed-2").exists()
 
 
 def test_a_sampler_that_learns_from_scores_has_no_students():

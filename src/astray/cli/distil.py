@@ -54,7 +54,6 @@ def distil(
     """
     from astray.analysis.runs import open_run
     from astray.training import checkpoint
-    from astray.training.teacher import teaching
     from astray.training.track import train_tracked
 
     bounded("threads", threads, 1, most_threads())
@@ -89,6 +88,6 @@ def distil(
     checkpoint.check_all(runs)
     with contextlib.ExitStack() as taught:
         for student in runs:  # before any is trained: a teacher that still trains is soon another
-            taught.enter_context(teaching(agent.path, student))
+            taught.enter_context(checkpoint.teaching(agent.path, student))
         for student, one in runs.items():
             print(train_tracked(one, student, track))

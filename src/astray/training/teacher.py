@@ -7,8 +7,7 @@ values, too. Otherwise the critic learns from the student's own rewards: measure
 of a better policy, whatever a student does when it is alone would look like a loss.
 """
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,11 +19,11 @@ from torch import Tensor
 from astray.acting import Actor, Answer, Turn
 from astray.agents import policy
 from astray.agents.recurrent import Recurrent
-from astray.files import check_own, make_folder, read, remove_made, write_aside
+from astray.files import check_own, read, write_aside
 from astray.record import trusted
 from astray.training import ppo
 from astray.training.config import Config
-from astray.training.folders import CONFIG, TEACHER
+from astray.training.folders import TEACHER
 from astray.training.ppo import Samples, Sequences
 from astray.training.rollout import Rollout
 
@@ -42,20 +41,6 @@ class Taught(Samples):
 @dataclass(frozen=True)
 class TaughtSequences(Sequences, Taught):
     """Samples of a student with memory."""
-
-
-@contextlib.contextmanager
-def teaching(weights: Path, run: Path) -> Iterator[None]:
-    """Give the teacher's weights, and remove them again if no training begins."""
-    missing = make_folder(run)
-    give(weights, run)
-    try:
-        yield
-    except BaseException:
-        if not (run / CONFIG).exists():
-            (run / TEACHER).unlink(missing_ok=True)
-            remove_made(missing)
-        raise
 
 
 def give(weights: Path, run: Path, name: str = TEACHER) -> None:
