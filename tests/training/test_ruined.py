@@ -256,6 +256,14 @@ def test_a_file_in_the_place_of_a_checkpoint_is_told_before_the_training(begun):
     assert (begun / "checkpoints" / f"{TINY.steps}").read_text() == "mine"
 
 
+def test_a_log_that_leads_nowhere_is_told_before_the_training(begun):
+    shutil.rmtree(begun / "tensorboard", ignore_errors=True)
+    (begun / "tensorboard").symlink_to(begun / "a disk that is not there")
+    for begin in (lambda: train(TINY, begun), lambda: checkpoint.check_all({begun: TINY})):
+        with pytest.raises(NotADirectoryError, match="tensorboard must be a folder, or not be"):
+            begin()
+
+
 def test_metrics_that_are_cut_short_or_gone_are_told_before_a_report(begun, caplog):
     train(TINY, begun, progress=False)
     lines = (begun / "metrics.jsonl").read_text().splitlines(keepends=True)

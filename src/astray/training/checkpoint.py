@@ -36,7 +36,7 @@ from astray.training.folders import (
     read_config,
     steps_saved,
 )
-from astray.training.log import METRICS, read_metrics
+from astray.training.log import BOARD, METRICS, read_metrics
 from astray.training.teacher import give
 from astray.training.trainer import Trainer
 from astray.validation import brief
@@ -126,9 +126,10 @@ def _written(folder: Path) -> tuple[list[int], int]:
 
 
 def _check_folders(there: Path, config: Config) -> None:
-    """Raise OSError if a training could not write its checkpoints to `there`."""
+    """Raise OSError if a training could not write its checkpoints to `there`, or its log."""
     named = (path for path in there.glob("*") if STEPS.fullmatch(path.name))
-    for path in (there, *(one for one in named if int(one.name) % config.batch == 0)):
+    mine = (one for one in named if int(one.name) % config.batch == 0)
+    for path in (there, there.with_name(BOARD), *mine):
         if os.path.lexists(path) and not path.is_dir():  # as a link to a disk that is not there
             raise NotADirectoryError(f"{path} must be a folder, or not be there")
     if there.exists():  # it may be another user's, or lead to a disk that is only read

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from astray.files import read, write_aside
 from astray.training.config import Config
 
-METRICS = "metrics.jsonl"  # in the run folder
+METRICS, BOARD = "metrics.jsonl", "tensorboard"  # in the run folder
 EVERY = 30  # seconds between progress lines if standard error is not a terminal
 BEGINNING = '{"steps": '  # prefix of each of its lines
 
@@ -66,7 +66,7 @@ class Log:
         kept = [line for line, data in there if data["steps"] <= steps]
         write_aside(path, "".join(kept).encode())
         self._file = open(path, "a")  # noqa: SIM115
-        self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=steps + 1)
+        self._board = SummaryWriter(str(folder / BOARD), purge_step=steps + 1)
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
