@@ -3,6 +3,7 @@
 import io
 import pickle
 import struct
+import time
 import zipfile
 
 import msgpack
@@ -391,6 +392,22 @@ def test_names_of_weights_that_torch_takes_for_one_are_refused():
             archive.writestr(f"archive/data/{key}", bytes(4000))
     with pytest.raises(ValueError, match="or have one name"):
         pth.read(file.getvalue())
+
+
+def test_names_of_ten_thousand_weights_are_compared_once():
+    """All were for each of them, which took 20 seconds."""
+    begin = b"\x80\2](X\7\0\0\0storageq\0ctorch\nFloatStorage\nq\1X\3\0\0\0cpuq\2"
+    keys = [b"%05d" % key for key in range(10_000)]
+    asked = (b"(h\0h\1X\5\0\0\0" + key + b"h\2K\1tQ" for key in keys)
+    with zipfile.ZipFile(
+        file := io.BytesIO(archived(begin + b"".join(asked) + b"e.")), "a"
+    ) as parts:
+        for key in keys:
+            parts.writestr(f"archive/data/{key.decode()}", bytes(4))
+    began = time.process_time()
+    with pytest.raises(ValueError, match="it holds a list, not weights by name"):
+        pth.read(file.getvalue())
+    assert time.process_time() - began < 5
 
 
 def old_file(state, keys):

@@ -140,9 +140,10 @@ def _checked(data: bytes) -> io.BytesIO:
         copy.writestr("archive/data.pkl", raw)
         for part in OTHERS & {one.removeprefix(f"{home}/") for one in archive.namelist()}:
             copy.writestr(f"archive/{part}", archive.read(f"{home}/{part}"))
+        names = {*map(str.lower, asked)}
         for key, size in asked.items():
             numbers = archive.read(f"{home}/data/{key}")
-            if len(numbers) < size or len({*map(str.lower, asked)}) < len(asked):
+            if len(numbers) < size or len(names) < len(asked):
                 raise ValueError("its weights are more than the file holds, or have one name")
             copy.writestr(f"archive/data/{key}", numbers)
     return io.BytesIO(kept.getvalue())
