@@ -12,9 +12,7 @@ from astray.memory import check_memory
 from astray.validation import brief, path_of
 
 NUMBER = 8  # bytes of most of a table's values in memory
-COPIES = (
-    3  # of text and bytes, which a file may hold once for all rows: polars', and those made of it
-)
+COPIES = 3  # of bytes, which a file may hold once for all rows: polars' and those made of these
 SIGN = b"sha256 of the rest, by astray: "  # with a digest, between a Parquet file's data and footer
 # The footer's beginning, in Thrift: a version, and a list of at most 255 parts: the table, its
 # columns, and what lies in these. Some 400 in each other overflow polars' stack: Python ends.

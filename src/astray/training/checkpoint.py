@@ -26,18 +26,9 @@ from astray import files, provenance
 from astray.agents import policy
 from astray.training import parallel
 from astray.training.config import Config
-from astray.training.folders import (
-    AGENT,
-    CONFIG,
-    STEPS,
-    TEACHER,
-    TRAINER,
-    latest,
-    read_config,
-    steps_saved,
-)
+from astray.training.folders import AGENT, CONFIG, STEPS, TRAINER, latest, read_config, steps_saved
 from astray.training.log import BOARD, METRICS, read_metrics
-from astray.training.teacher import give
+from astray.training.teacher import TEACHER, give
 from astray.training.trainer import Trainer
 from astray.validation import brief
 
@@ -51,15 +42,13 @@ class Claimed(RuntimeError):
 
 @contextlib.contextmanager
 def teaching(weights: Path, run: Path) -> Iterator[None]:
-    """Give the teacher's weights, and remove those that are new again if no training begins."""
+    """Give the teacher's weights, and remove those that are new if no process begins to train."""
     made, is_new = files.make_folder(run), not (run / TEACHER).exists()
     give(weights, run)
     try:
         yield
-    except Claimed:  # the other process may have found them here
-        raise
-    except BaseException:
-        if is_new and not (run / CONFIG).exists():
+    except BaseException as error:
+        if is_new and not isinstance(error, Claimed) and not (run / CONFIG).exists():
             (run / TEACHER).unlink(missing_ok=True)
             files.remove_made(made)
         raise

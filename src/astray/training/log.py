@@ -67,16 +67,11 @@ class Log:
         write_aside(path, "".join(kept).encode())
         self._file = open(path, "a")  # noqa: SIM115
         self._board = SummaryWriter(str(folder / BOARD), purge_step=steps + 1)
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.fields[text]}"),
-            TimeRemainingColumn(),
-        )
+        columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}")
         console = Console(stderr=True)
         self._in_lines, self._told = progress and not console.is_terminal, time.monotonic()
         shown = progress and console.is_terminal
-        self._bar = Progress(*columns, console=console, disable=not shown)
+        self._bar = Progress(*columns, TimeRemainingColumn(), console=console, disable=not shown)
         self._name = f"{config.game} {config.variant} seed {config.seed}"
         total = config.iterations * config.batch
         if progress and total > 1.01 * config.steps:
