@@ -258,3 +258,29 @@ def test_a_function_counts_with_the_module_of_what_stands_before_it(tmp_path, mo
     (tmp_path / "after.py").write_text("def far(s):\n    return s\n")
     twice, far = (importlib.import_module(n) for n in ("before", "after"))
     assert {*(provenance.sources(twice.twice(far.far)) or ())} == {"before", "after"}
+
+
+ELSEWHERE = {
+    "closed over": "from before import *\nfrom far import far\nput = closing(far)\n",
+    "registered": "from before import *\nfrom far import far\nMADE['far'] = far\nput = made\n",
+    "by a name": "import importlib\nF = importlib.import_module('far')\n"
+    "def put(s): return F.far(s)\n",
+    "by a path": "from importlib.util import module_from_spec, spec_from_file_location\n"
+    "SPEC = spec_from_file_location('of_path', __file__.replace('after', 'far'))\n"
+    "F = module_from_spec(SPEC)\nSPEC.loader.exec_module(F)\ndef put(s): return F.far(s)\n",
+}
+
+
+@pytest.mark.parametrize("how", ELSEWHERE)
+def test_a_function_counts_with_the_modules_of_what_it_keeps(how, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "before.py").write_text(
+        "MADE = {}\ndef made(s): return MADE['far'](s)\n"
+        "def closing(f):\n    def g(s): return f(s)\n    return g\n"
+    )
+    (tmp_path / "far.py").write_text("def far(s): return s\n")
+    (tmp_path / "after.py").write_text(ELSEWHERE[how])
+    for name in ("before", "far", "after"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    put = importlib.import_module("after").put
+    assert put(1) == 1 and {*(provenance.sources(put) or ())} & {"far", "of_path"}

@@ -128,7 +128,7 @@ def _carried(thing: Any) -> Iterable[Any]:
         return [cells, thing.__defaults__, thing.__kwdefaults__, attributes, *_named(thing)]
     if isinstance(thing, Mapping):
         return [part for item in thing.items() for part in item]
-    called = [one for one in [getattr(kind, "__call__", None)] if _is_users(one)]  # noqa: B004
+    called = [one for one in [getattr(kind, "__call__", None)] if is_users(one)]  # noqa: B004
     if is_dataclass(thing):  # other fields follow from these, or change with use
         return called + [getattr(thing, one.name) for one in fields(thing) if one.init]
     if isinstance(thing, functools.partial | MethodType | tuple | list | deque) or "py_func" in own:
@@ -152,7 +152,7 @@ def _named(function: FunctionType) -> Iterator[Any]:
         for one in (scope[name] for name in used if name in scope):
             if isinstance(one, ModuleType | type):
                 its = one.__mro__ if isinstance(one, type) else (one,)
-                new = [x for x in its if _is_users(x) and all(x is not y for y in within)]
+                new = [x for x in its if is_users(x) and all(x is not y for y in within)]
                 within += new
                 scopes += [{**vars(x), **getattr(x, "__members__", {})} for x in new]
             elif _tells(one, there):
@@ -172,7 +172,7 @@ def _tells(thing: Any, there: Mapping[str, Any]) -> bool:
         return True
     its = getattr(thing, "fget", getattr(thing, "__wrapped__", thing))
     if isinstance(its, FunctionType):
-        return its.__globals__ is there or _is_users(its)
+        return its.__globals__ is there or is_users(its)
     frozen = getattr(getattr(thing, "__dataclass_params__", None), "frozen", False)  # as a Config
     return frozen or _is_record(type(thing))
 
@@ -183,15 +183,16 @@ def _is_record(kind: type) -> bool:
     A record of a library's class, as an environment or a network, changes with use.
     """
     python = sys.stdlib_module_names
-    return _is_users(kind) and all(_is_users(x) or x.__module__ in python for x in kind.__mro__)
+    return is_users(kind) and all(is_users(x) or x.__module__ in python for x in kind.__mro__)
 
 
-def _is_users(thing: Any) -> bool:
+def is_users(thing: Any) -> bool:
     """Return whether a function, class or module is neither Python's, a library's nor astray's."""
     name = f"{getattr(thing, '__name__' if isinstance(thing, ModuleType) else '__module__', '')}"
     if name in ("__main__", "__mp_main__"):  # which has no file in a notebook
         return True
-    path = getattr(sys.modules.get(name), "__file__", None)
+    its = thing if isinstance(thing, ModuleType) else sys.modules.get(name)
+    path = getattr(thing, "__globals__", {}).get("__file__") or getattr(its, "__file__", None)
     if not path or name.partition(".")[0] in {ITSELF, *sys.stdlib_module_names}:
         return False
     return not INSTALLED & {*Path(path).parts}
@@ -247,6 +248,9 @@ def _roots(thing: Any, passed: dict[int, Any]) -> Iterator[Root]:
         yield thing
     for part in parts or ():
         yield from _roots(part, passed)
+    if isinstance(thing, FunctionType) and (thing.__closure__ or is_users(thing)):
+        # Its module need not import what it names, as where another function made it.
+        yield from filter(is_users, _roots([x for x in _carried(thing) if not _is_data(x)], passed))
 
 
 def _parts(thing: Any) -> Iterable[Any] | None:

@@ -15,6 +15,7 @@ import pytest
 from filelock import Timeout
 from torch import nn
 
+from astray import games
 from astray.analysis import video
 from astray.analysis.adapters import Function
 from astray.analysis.estimates import estimate_paired
@@ -26,6 +27,7 @@ from astray.experiments.spec import Experiment, OwnAgents, Plan
 from astray.files import hold
 from astray.game import More, Shift
 from astray.training.config import Config
+from helpers import lava
 from helpers.edits import forget
 from helpers.lava import GAME as LAVA
 from helpers.rooms import CELLS, WORLD, Room
@@ -276,6 +278,48 @@ def test_agents_that_astray_trains_have_a_folder_for_each_state_of_your_code(tmp
         names.append([spec.name_of_run(config) for config in each])
     changed = [[one != other for one, other in zip(*pair, strict=True)] for pair in pairwise(names)]
     assert changed == [[True, False, False], [False, True, False]]
+
+
+READ = "B = float((pathlib.Path(__file__).parent / 'b').read_text())\n"
+PAYS = {
+    "read": f"{READ}def pay(given): return B * given.reward\n",
+    "made elsewhere": f"import pays\n{READ}pay = pays.scaled(B)\ndel B\n",
+    "a part": f"import functools, pays\n{READ}pay = functools.partial(pays.by, B)\ndel B\n",
+    "an object": f"import pays\n{READ}pay = pays.Scaled(B)\ndel B\n",
+}
+ELSEWHERE = """
+def by(factor, given): return factor * given.reward
+
+def scaled(by):
+    return lambda given: by * given.reward
+
+class Scaled:
+    def __init__(self, by): self.by = by
+    def __call__(self, given): return self.by * given.reward
+"""
+
+
+@pytest.mark.parametrize("how", PAYS)
+def test_agents_have_a_folder_for_each_value_that_their_reward_keeps(how, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "pays.py").write_text(ELSEWHERE)
+    (tmp_path / "named.py").write_text(f"import pathlib\n{PAYS[how]}")
+    names = []
+    for value in ("1", "1", "0.5"):
+        (tmp_path / "b").write_text(value)
+        for module in ("pays", "named"):
+            monkeypatch.delitem(sys.modules, module, raising=False)
+        names.append(spec.name_of_run(Config("maze", "corner", reward="named:pay")))
+    assert names[0] == names[1] != names[2]
+
+
+def test_agents_of_a_guest_have_a_folder_for_each_value_that_its_rules_keep(monkeypatch):
+    monkeypatch.setitem(games._registered, LAVA.name, LAVA)
+    names = []
+    for start in (2, 2, 3):
+        monkeypatch.setattr(lava, "START", start)
+        names.append(spec.name_of_run(Config(LAVA.name, next(iter(LAVA.variants)))))
+    assert names[0] == names[1] != names[2]
 
 
 @pytest.mark.parametrize("repeats", [True, False])

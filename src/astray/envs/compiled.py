@@ -32,11 +32,12 @@ def compiled_loop(game: Game, art: str = OWN) -> Callable:
 
 def loop_of(game: Game, art: str = OWN) -> Callable:
     """Return `loops.run` of a game, not compiled yet, named by its code and the values it keeps."""
-    functions = _functions(game, art)
+    functions = functions_of(game, art)
     return _loop_of(game, art, renewed(functions.values()))
 
 
-def _functions(game: Game, art: str) -> dict[str, Callable]:
+def functions_of(game: Game, art: str) -> dict[str, Callable]:
+    """Return the functions that a game's loop calls, by their names in it."""
     looks = game.drawn(art)
     functions = {
         "generate": game.levels.generate,
@@ -52,7 +53,7 @@ def _functions(game: Game, art: str) -> dict[str, Callable]:
 
 @functools.cache
 def _loop_of(game: Game, art: str, _values: str) -> Callable:
-    functions = _functions(game, art)
+    functions = functions_of(game, art)
     label = game.name if art == OWN else f"{game.name}_{art}"
     functions["background_of"] = specialise(loops.background_of_any, label, shared, **functions)
     functions["begin_one"] = specialise(loops.begin, label, shared, **functions)

@@ -20,6 +20,7 @@ from astray.analysis.evaluate import Measure, check_measures
 from astray.analysis.outcomes import load_shift, name_of
 from astray.analysis.policies import scripts_of
 from astray.analysis.tables import read_table, write_table
+from astray.envs.compiled import functions_of
 from astray.envs.worlds import shown_first
 from astray.files import check_own
 from astray.game import OWN, Game, Variant
@@ -340,13 +341,15 @@ def own_sources(config: Config) -> dict[str, str] | None:
 
 
 def own_code(config: Config) -> str:
-    """Return a text of a training's own sources, if any, and of what its World shows."""
+    """Return a text of a training's own sources and values, if any, and of what its World shows."""
     if (mine := own_sources(config)) is None:
         return ""
     game, variant = config.find_game(), config.training_variant()
     is_world = isinstance(game, World)
     shown = shown_first(game, variant, config.first_level) if is_world else ""  # pyrefly: ignore
-    return f"{sorted(mine.items())}{shown}"
+    rules = () if is_world else functions_of(game, config.art).values()  # pyrefly: ignore
+    kept = [game] * is_world, [*config.custom().values()], [*filter(provenance.is_users, rules)]
+    return f"{sorted(mine.items())}{shown}{[*provenance.values(kept)] or ''}"
 
 
 def check_unedited(config: Config, known: Mapping[str, str]) -> None:
