@@ -105,7 +105,7 @@ def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
 
     Args:
         what: Name of the code for the error, which says "{what} fails".
-        passed: Errors that are raised unchanged.
+        passed: Errors that are raised unchanged, but for ValueErrors of the user's own lines.
 
     Raises:
         ValueError: If the code raises anything but those.
@@ -114,9 +114,11 @@ def guarded(what: str, *passed: type[Exception]) -> Iterator[None]:
     try:
         with LENT:
             yield
-    except (KeyboardInterrupt, *passed):  # nothing tells one that the code raises from Ctrl+C
-        raise
     except BaseException as error:
+        # NumPy's say nothing of where; nothing tells an interrupt that the code raises from Ctrl+C.
+        is_bare = type(error) is ValueError and place(error)
+        if isinstance(error, (KeyboardInterrupt, *passed)) and not is_bare:
+            raise
         raise ValueError(f"{what} fails: {shown(error, 300)}{place(error)}") from error
     finally:
         getattr(sys.modules.get("torch"), "set_grad_enabled", lambda _: None)(learns)

@@ -313,7 +313,7 @@ def files_of(folder):
 @pytest.mark.parametrize(
     "words, said",
     [
-        (("--policy", "random"), "--policy needs either --game or --world"),
+        (("--policy", "random"), "a policy needs either --game or --world"),
         (("--policy", "random", "--game", "maze"), "--policy needs --shift; there are: corner, "),
         (("maze-corner", "--policy", "random"), "--policy random replaces an agent: give one"),
         (("walk:cheese",), "unknown agent 'walk:cheese'; a policy is named as --policy walk:"),

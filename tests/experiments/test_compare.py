@@ -224,6 +224,11 @@ def test_what_cannot_be_compared_is_told(policies, tmp_path):
         compare(policies, WORLD, "end", range(4), tmp_path)
 
 
+def test_policies_without_a_game_are_told_of_options_that_there_are(astray):
+    said = astray("compare", "random", "walk:cheese", fails=True)
+    assert "a policy needs either --game or --world" in said
+
+
 def test_returns_of_trainings_are_drawn(monkeypatch, tmp_path):
     import astray.experiments.compare as page
 

@@ -40,6 +40,10 @@ def counted(step):
     return step.ended
 
 
+def of_three(step):
+    return step.rewards + np.zeros(3)
+
+
 def unfinished(step):
     return np.where(step.ended, np.nan, 0.0)
 
@@ -171,6 +175,7 @@ def test_rewards_stand_in_the_episodes_of_a_result():
         (single, r"a reward must return 8 finite numbers, .*got 1\.0"),
         (masking, "a reward must return 8 finite numbers, .*masked_array"),
         (lambda step: step.rewards, "must be a function or a class at the top of a module"),
+        (of_three, r"the reward .* fails: ValueError\(.*shapes.*\(test_rewards\.py, line \d+"),
     ],
 )
 def test_a_reward_that_cannot_be_is_refused(reward, said):

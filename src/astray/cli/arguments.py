@@ -122,7 +122,7 @@ class OwnPolicy:
     def rules(self) -> Game | World:
         """Return the policy's game or world; raise ValueError unless exactly one is given."""
         if (self.game is None) == (self.world is None):
-            raise ValueError("--policy needs either --game or --world")
+            raise ValueError("a policy needs either --game or --world")
         return self.named() if self.game is None else games.find(self.game)
 
     def check_game(self, verb: str) -> None:
