@@ -45,6 +45,10 @@ def _untrained(monkeypatch):
     monkeypatch.setattr(run, "train_all", train_all)
 
 
+def of_three(step):
+    return step.rewards + np.zeros(3)
+
+
 def find(work):
     raise AssertionError("it looks for findings")
 
@@ -164,6 +168,8 @@ def test_findings_that_are_none_are_told(tmp_path):
     [
         ({"network": "no_such:Net"}, r"second cannot be trained: 'no_such:Net' cannot be imported"),
         ({"loss": "no_such:loss"}, r"second cannot be trained: 'no_such:loss' cannot be imported"),
+        ({"reward": f"{__name__}:of_three"}, r"second cannot be trained: the reward .* fails"),
+        ({"loss": f"{__name__}:of_three"}, r"second cannot be trained: the loss .* fails: Type"),
         ({"device": "mps"}, r"second cannot be trained: there is no device 'mps'"),
         ({"network": "impala"}, r"second cannot be trained: network 'impala' does not see symb"),
         (

@@ -44,7 +44,7 @@ from astray.report.findings import Findings
 from astray.training import checkpoint, folders
 from astray.training.config import SOLVER, Config, Device, Fast, Tracking
 from astray.training.folders import AgentFolder, read_config
-from astray.training.loop import begin, checked
+from astray.training.loop import begin, checked, improve
 from astray.training.teacher import give
 from astray.training.track import check_installed
 from astray.validation import MOST, bounded, brief, of_kind, one_of, path_of
@@ -242,8 +242,14 @@ def check_trainable(plan: Plan, trainings: Mapping[str, Iterable[Config]]) -> No
                 config = replace(config, start=None)
             if config.device != "cpu":  # whose memory is for the trainings
                 config = replace(config, device="cpu", fast=Fast())
-            with warnings.catch_warnings(action="ignore"):  # the training warns
-                begin(config).close()
+            is_own = bool(config.custom())  # which may fail; tried with one minibatch of the size
+            if is_own and config.num_steps % config.minibatches == 0:
+                steps = config.num_steps // config.minibatches
+                config = config.changed(num_steps=steps, minibatches=1, epochs=1)
+            # The training warns.
+            with warnings.catch_warnings(action="ignore"), contextlib.closing(begin(config)) as one:
+                if is_own:
+                    improve(one)
         except (ValueError, FileNotFoundError) as error:
             raise ValueError(f"{name} cannot be trained: {error}") from error
 
