@@ -74,6 +74,12 @@ def test_another_study_of_that_name_does_not_replace_the_report_of_the_first(
     run.check_study(tmp_path / "mine-twice-smoke", catalogue.origin(f"{paths[1]}"))
 
 
+@pytest.mark.parametrize("text", ['{"study": [1]}', '{"study": 1e308}', "[" * 100_000])
+def test_a_ruined_plan_is_of_no_other_study(text, tmp_path):
+    (tmp_path / run.PLAN).write_text(text)
+    run.check_study(tmp_path, "maze-corner")
+
+
 def noted(plan, folder, first=None):
     folder.mkdir(exist_ok=True)
     text, digest = run.inputs(plan, {}, catalogue.load("maze-corner"))

@@ -322,9 +322,9 @@ def check_study(folder: Path, origin: str | None) -> None:
         origin: Result of `catalogue.origin`.
     """
     there = None
-    with contextlib.suppress(FileNotFoundError, ValueError, AttributeError):
+    with contextlib.suppress(FileNotFoundError, ValueError, AttributeError, RecursionError):
         there = json.loads(read(folder / PLAN)).get("study")
-    is_other = there and origin and there != origin
+    is_other = isinstance(there, str) and origin and there != origin
     if is_other and (there in catalogue.NAMES or os.path.exists(there)):
         told = f"{folder} has the report of {there}, which {origin} would share"
         raise ValueError(f"{told}; rename a file, or give another folder")
