@@ -265,6 +265,8 @@ ELSEWHERE = {
     "registered": "from before import *\nfrom far import far\nMADE['far'] = far\nput = made\n",
     "by a name": "import importlib\nF = importlib.import_module('far')\n"
     "def put(s): return F.far(s)\n",
+    "by a kind": "from types import FunctionType\nfrom far import far\n"
+    "def put(s): return far(s) if isinstance(far, FunctionType) else None\n",
     "by a path": "from importlib.util import module_from_spec, spec_from_file_location\n"
     "SPEC = spec_from_file_location('of_path', __file__.replace('after', 'far'))\n"
     "F = module_from_spec(SPEC)\nSPEC.loader.exec_module(F)\ndef put(s): return F.far(s)\n",

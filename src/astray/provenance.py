@@ -192,7 +192,8 @@ def is_users(thing: Any) -> bool:
     if name in ("__main__", "__mp_main__"):  # which has no file in a notebook
         return True
     its = thing if isinstance(thing, ModuleType) else sys.modules.get(name)
-    path = getattr(thing, "__globals__", {}).get("__file__") or getattr(its, "__file__", None)
+    there = thing.__globals__ if isinstance(thing, FunctionType) else getattr(its, "__dict__", {})
+    path = there.get("__file__")
     if not path or name.partition(".")[0] in {ITSELF, *sys.stdlib_module_names}:
         return False
     return not INSTALLED & {*Path(path).parts}
