@@ -390,6 +390,14 @@ def test_a_module_that_fails_is_named_whatever_it_raises(tmp_path, monkeypatch, 
         catalogue.find(str(tmp_path / "failing.py"))
 
 
+def test_the_line_of_a_mistake_is_one_of_a_file_that_is_there(tmp_path, monkeypatch):
+    lines = "from dataclasses import replace\nfrom astray import games\nMAZE = games.find('maze')\n"
+    (tmp_path / "remade.py").write_text(f"{lines}GAME = replace(MAZE, about=3)")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ValueError, match=r"about must be a str; got 3.*\(remade\.py, line 4\)"):
+        imports.find("remade:GAME")
+
+
 def test_a_module_whose_error_exits_when_it_is_read_is_named(tmp_path, monkeypatch):
     error = "class Odd(ImportError):\n    def __str__(self):\n        raise SystemExit(0)\n"
     (tmp_path / "unreadable.py").write_text(f"{error}\n\nraise Odd\n")

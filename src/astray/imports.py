@@ -25,8 +25,8 @@ from astray.validation import brief, shown
 LOG = logging.getLogger("astray")
 LONG = 10.0  # seconds of an import before it is announced
 NAME = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
-# Files of code that is not the user's.
-OTHERS = re.compile(rf"-packages|<frozen|lib.python3|{re.escape(str(Path(__file__).parent))}")
+# Files of code that is not the user's; a dataclass is made of a text.
+OTHERS = re.compile(rf"-packages|<frozen|<str|lib.python3|{re.escape(str(Path(__file__).parent))}")
 
 
 class Terminated(KeyboardInterrupt):
