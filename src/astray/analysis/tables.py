@@ -52,7 +52,8 @@ def read_table(path: Path, signed: bool = False, flat: bool = False) -> pl.DataF
             raise ValueError(f"{path} is not a table of astray's: it must be without lists")
         count = file.select(pl.len()).collect().item() * len(file.collect_schema())
         check_memory(NUMBER * count, f"the table {path}")  # of which a few bytes may be millions
-        check_memory(COPIES * (table := file.collect()).estimated_size(), f"the table {path}")
+        table = file.collect()
+        check_memory(COPIES * int(table.estimated_size()), f"the table {path}")
         return table
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise ValueError(f"{path} is not a table of astray's: {brief(error)}") from error
