@@ -69,9 +69,21 @@ def test_another_study_of_that_name_does_not_replace_the_report_of_the_first(
         ValueError, match=r"has the report of .*, which .*there.*would share; renam"
     ):
         run.reproduce(str(paths[1]), "smoke", tmp_path)
-    run.check_study(folder, catalogue.origin(first))
+    run.check_study(folder, catalogue.origin(first, folder))
     paths[0].unlink()  # as of a study that was moved
-    run.check_study(tmp_path / "mine-twice-smoke", catalogue.origin(f"{paths[1]}"))
+    folder = tmp_path / "mine-twice-smoke"
+    run.check_study(folder, catalogue.origin(f"{paths[1]}", folder))
+
+
+def test_a_report_tells_no_path_of_its_authors(tmp_path):
+    """It is given away, and two authors' reports of one study are equal."""
+    (tmp_path / "study.py").touch()
+    noted(
+        replace(catalogue.load("maze-corner").sizes["smoke"], seeds=1),
+        tmp_path / "report",
+        f"{tmp_path}/study.py",
+    )
+    assert f"{tmp_path}" not in (tmp_path / "report" / run.PLAN).read_text()
 
 
 @pytest.mark.parametrize("text", ['{"study": [1]}', '{"study": 1e308}', "[" * 100_000])
@@ -83,7 +95,7 @@ def test_a_ruined_plan_is_of_no_other_study(text, tmp_path):
 def noted(plan, folder, first=None):
     folder.mkdir(exist_ok=True)
     text, digest = run.inputs(plan, {}, catalogue.load("maze-corner"))
-    run.note(text, digest, folder, first and catalogue.origin(first))
+    run.note(text, digest, folder, first and catalogue.origin(first, folder))
     return digest
 
 

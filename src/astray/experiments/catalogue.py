@@ -69,14 +69,20 @@ def find(experiment: str | Experiment) -> tuple[str, Experiment]:
     return study.name or slug(name), study
 
 
-def origin(experiment: str | Experiment) -> str | None:
-    """Return the file of an experiment that `find` found, or its name; None for an object."""
+def origin(experiment: str | Experiment, folder: Path) -> str | None:
+    """Return the file of an experiment that `find` found, seen from a folder, or its name.
+
+    It is None for an object. A report that is given away tells no path of its author's.
+    """
     if isinstance(experiment, Experiment) or experiment in NAMES:
         return experiment if isinstance(experiment, str) else None
-    if not imports.is_name(experiment):
-        return os.path.realpath(experiment)
-    file = getattr(sys.modules[experiment.partition(":")[0]], "__file__", None)
-    return file and os.path.realpath(file)
+    file: str | None = experiment
+    if imports.is_name(experiment):
+        file = getattr(sys.modules[experiment.partition(":")[0]], "__file__", None)
+    try:
+        return file and os.path.relpath(os.path.realpath(file), os.path.realpath(folder))
+    except ValueError:  # it is on another drive of Windows
+        return file and os.path.realpath(file)
 
 
 def _run(path: Path) -> object:

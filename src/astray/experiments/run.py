@@ -111,7 +111,7 @@ def reproduce(
     # Results of agents of others stand beside those of agents trained here.
     beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
     with hold(folder, "works on"), threads_for(size):
-        check_study(folder, origin := catalogue.origin(experiment))
+        check_study(folder, origin := catalogue.origin(experiment, folder))
         runs = train_agents(plan, root, workers, on, track)
         check_writable(folder / PLAN)  # before the agents are played
         text, digest = inputs(plan, runs, whole)
@@ -325,8 +325,9 @@ def check_study(folder: Path, origin: str | None) -> None:
     with contextlib.suppress(FileNotFoundError, ValueError, AttributeError, RecursionError):
         there = json.loads(read(folder / PLAN)).get("study")
     is_other = isinstance(there, str) and origin and there != origin
-    if is_other and (there in catalogue.NAMES or os.path.exists(there)):
-        told = f"{folder} has the report of {there}, which {origin} would share"
+    if is_other and (there in catalogue.NAMES or os.path.exists(folder / there)):
+        old, new = (x if x in catalogue.NAMES else (folder / x).resolve() for x in (there, origin))
+        told = f"{folder} has the report of {old}, which {new} would share"
         raise ValueError(f"{told}; rename a file, or give another folder")
 
 
