@@ -16,7 +16,7 @@ COLUMNS += ("run", "seed", "checkpoint", "variant", "outcome", "distinguishing",
 
 
 def check_ends(ends: Iterable[str], goals: Iterable[str]) -> None:
-    """Raise ValueError if an end has the name of an outcome, or a goal that of no goal."""
+    """Raise ValueError if an end has the name of an outcome, or a goal a name for none."""
     for what, names, others in (("an end", ends, OUTCOMES), ("a goal", goals, NO_GOALS)):
         if taken := {*names} & {*others}:
             raise ValueError(f"{what} must have a name of its own; got {', '.join(sorted(taken))}")

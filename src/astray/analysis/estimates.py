@@ -47,7 +47,7 @@ def quantile(freedom: float, below: float = (1 + CONFIDENCE) / 2) -> float:
 def over_agents(values: np.ndarray) -> np.ndarray:
     """Return the mean of `values` [agents, points] at each point with 95 % intervals, [3, points].
 
-    The interval is Student's t over agents; it is NaN for one, or for equal ones, without spread.
+    The interval is Student's t over agents; it is NaN for one agent, and where all are equal.
 
     Raises:
         ValueError: If `values` are not of that shape.

@@ -12,7 +12,7 @@ from astray.memory import check_memory
 from astray.validation import brief, path_of
 
 NUMBER = 8  # bytes of most of a table's values in memory
-COPIES = 3  # of bytes, which a file may hold once for all rows: polars' and those made of these
+COPIES = 3  # of a table in memory at once: polars' own, and what is made of it
 SIGN = b"sha256 of the rest, by astray: "  # with a digest, between a Parquet file's data and footer
 # The footer's beginning, in Thrift: a version, and a list of at most 255 parts: the table, its
 # columns, and what lies in these. Some 400 in each other overflow polars' stack: Python ends.
@@ -34,7 +34,7 @@ def write_table(table: pl.DataFrame, path: Path) -> None:
 
 
 def read_table(path: Path, signed: bool = False, flat: bool = False) -> pl.DataFrame:
-    """Return the table of a Parquet file, which has no lists, of any length, if it is to be `flat`.
+    """Return the table of a Parquet file; `flat` refuses lists, which may have any length.
 
     Raises:
         MemoryError: If so many rows do not fit.

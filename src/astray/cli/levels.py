@@ -26,7 +26,7 @@ from astray.record import NEVER
 from astray.validation import shown
 
 LONGEST = 2**20  # characters of actions: more than any episode has
-DIGITS = 10  # fewer are of a number of an action
+DIGITS = 10  # no number of an action has as many
 
 
 def level(game: Drawn, levels: str = "0", text: bool = False, json: Json = False) -> None:
