@@ -65,6 +65,22 @@ def test_bfloat16_is_only_between_the_hidden_layers_and_near():
     assert (one.norm() / two.norm()).item() == pytest.approx(1, abs=0.01)
 
 
+def test_the_kernels_round_to_bfloat16_and_pass_the_relu_as_torch_does():
+    bits = np.random.default_rng(0).integers(0, 2**32, 100_000, np.uint32)
+    bits[:1000] = (bits[:1000] & 0xFFFF0000) | 0x8000  # in the middle between two
+    sums = np.where(np.isfinite(bits.view(np.float32)), bits, 0x7F800000).view(np.float32)
+    expected = torch.from_numpy(sums).relu().bfloat16()
+    rows, values, ends = np.empty(0, np.int32), np.empty(0, np.float32), np.zeros(2, np.int64)
+    kept = np.empty((1, len(sums)), np.int16)
+    sparse.add_rows(ends, rows, values, sums[None], sums, kept)
+    assert (kept[0] == expected.view(torch.int16).numpy()).all()
+    grad, passed = torch.randn(len(sums)).bfloat16(), np.zeros_like(sums)
+    sparse.add_to_rows(
+        ends, rows, values, kept, grad.view(torch.int16).numpy()[None], sums[None], passed
+    )
+    assert (passed == grad.float().where(expected > 0, 0).numpy()).all()
+
+
 def test_the_fused_loss_is_the_plain_one():
     g, config = torch.Generator().manual_seed(0), PRESETS["paper"]
     outputs = (2 * torch.randn(1000, 16, generator=g)).requires_grad_()
