@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from astray.agents.mlp import MLP, CircleEmbedding
-from astray.kernel.jit import entry
+from astray.kernel.jit import entry, kernel
 
 TOGETHER = 4  # rows of weights added at once, so that the sum is read and written less often
 
@@ -70,10 +70,8 @@ class Forward(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:  # pyrefly: ignore
         w1, h1, w2, h2, w3 = ctx.saved_tensors
-        exact = grad @ w3
-        # A ReLU's gradient, 0 where its output is not above 0; in place in a third of the time.
-        torch.ops.aten.threshold_backward.grad_input(exact, h2, 0, grad_input=exact)
-        grad_h2 = exact.to(h1.dtype)
+        exact, grad_h2 = grad @ w3, torch.empty_like(h1)
+        pass_relu(exact.numpy(), h2.numpy(), _bits(grad_h2))
         grad_h1, grad_w2 = grad_h2 @ w2, (grad_h2.T @ h1).float()
         grad_w1, grad_b1 = w1.new_zeros(w1.shape[::-1]), w1.new_zeros(len(w1))
         add_to_rows(*ctx.found, _bits(h1), _bits(grad_h1), grad_w1.numpy(), grad_b1.numpy())
@@ -150,8 +148,24 @@ def add_rows(ends, rows, values, weight, bias, hidden):
                 total[x] += pair + (r * weight[c, x] + s * weight[d, x])
         for x in range(len(bias)):
             total[x] = max(total[x], np.float32(0))
-            up = 0x7FFF + (bits[x] >> 16 & 1)  # a remainder of one half rounds to an even number
-            hidden[i, x] = (bits[x] + half * up) >> half * 16
+            hidden[i, x] = rounded(bits[x], half)
+
+
+@entry
+def pass_relu(grad, output, below):
+    """Make 0 of `grad` [B, width] where a ReLU's `output` is; fill `below` with its `_bits`."""
+    bits, half = grad.view(np.uint32), below.itemsize == 2
+    for i in range(len(grad)):
+        for x in range(grad.shape[1]):
+            grad[i, x] = grad[i, x] if output[i, x] > 0 else np.float32(0)
+            below[i, x] = rounded(bits[i, x], half)
+
+
+@kernel
+def rounded(bits, half):
+    """Return a float32's bits as they are, or as the `half` that a bfloat16 has, the upper one."""
+    up = 0x7FFF + (bits >> 16 & 1)  # a remainder of one half rounds to an even number
+    return (bits + half * up) >> half * 16
 
 
 @entry
