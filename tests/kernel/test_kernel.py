@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import shortest_path
 from astray.envs.pool import Pace, Pool
 from astray.kernel import rng
 from astray.kernel.barrier import arrive, release, take
+from astray.kernel.borrowed import borrowed
 from astray.kernel.canvas import blit, copy_window
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import kernel
@@ -276,3 +277,13 @@ def test_rounds_are_shared_while_that_is_sooner():
     assert pass_rounds(pace, 20, 2e-4, lambda k: 1.2e-4)[0] > 0.75
     # A slice lost now and then is no reason.
     assert pass_rounds(pace, 10, 2e-4, lambda k: 4e-3 if k % 1000 == 0 else 1.2e-4)[0] > 0.9
+
+
+def test_compiled_code_does_not_count_references_to_borrowed_arrays():
+    numbers, owned = np.arange(6).reshape(3, 2), numba.njit(lambda x: x[1:])
+    lent = numba.njit(lambda x: borrowed(((x,), 7))[0][0][1:])
+    for compiled, is_counted in ((owned, True), (lent, False)):
+        part = compiled(numbers)
+        assert part.tolist() == [[2, 3], [4, 5]] and np.shares_memory(part, numbers)
+        assert (part.base is not None) == is_counted
+    assert borrowed((numbers, 7)) == (numbers, 7)  # interpreted

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from astray.kernel.barrier import arrive, release, take
+from astray.kernel.borrowed import borrowed
 from astray.kernel.jit import entry, kernel
 from astray.kernel.rng import fraction, mix_two, seed_twister
 
@@ -108,6 +109,9 @@ def run(states, looks, source, orders, seen, results, barrier, thread, generatio
         results: Tuple of reward, terminated and truncated [N], written by STEP.
         barrier, thread, generation: See `kernel.barrier`.
     """
+    states, looks, source, orders, seen, results = borrowed(
+        (states, looks, source, orders, seen, results)
+    )
     (art, symbolic, scenes), (mode, what, actions) = looks, orders
     params, levels, first, count, begins = source
     observations, final_states, final_observations = seen
