@@ -163,7 +163,7 @@ def pass_relu(grad, output, below):
 
 @kernel
 def rounded(bits, half):
-    """Return a float32's bits as they are, or as the `half` that a bfloat16 has, the upper one."""
+    """Return a float32's bits, or if `half` the upper 16, rounded, which are a bfloat16's."""
     up = 0x7FFF + (bits >> 16 & 1)  # a remainder of one half rounds to an even number
     return (bits + half * up) >> half * 16
 
