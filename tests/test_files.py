@@ -162,6 +162,21 @@ with files_aside(Path(sys.argv[1]), "page.html", b"by astray") as aside:
     assert all((path / "thesis.tex").exists() for path in mine)
 
 
+@pytest.mark.parametrize("name", ["told.parquet", "[to]ld**.parquet"])
+def test_what_a_killed_process_left_of_a_check_is_removed_by_the_next(tmp_path, name):
+    killed = """
+import os, sys
+from pathlib import Path
+from astray import files
+files.write_aside = lambda path, data: (path.with_name("half").write_bytes(data), os._exit(9))
+files.check_writable(Path(sys.argv[1]))
+"""
+    subprocess.run([sys.executable, "-c", killed, tmp_path / name])
+    assert len(list(tmp_path.iterdir())) == 1
+    check_writable(tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_disk_without_room_for_a_result_is_told_before_the_work(tmp_path, full_disk):
     full_disk(100_000)
     with pytest.raises(OSError, match=r"large; nothing was written: '[^']*new.told'$"):

@@ -1,6 +1,7 @@
 """Safe files: bounded reads, atomic writes, locks, and removal of astray's own files alone."""
 
 import contextlib
+import glob
 import io
 import multiprocessing
 import os
@@ -88,9 +89,13 @@ def _check_regular(path: Path, found: os.stat_result, most: int) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Raise OSError unless a file of `ROOM` bytes can be written; change nothing."""
+    """Raise OSError unless a file of `ROOM` bytes can be written.
+
+    Folders that killed processes left of this are removed.
+    """
     check_own(path)
-    with folder_aside(path, path.parent) as aside:
+    remove_killed(path)
+    with folder_aside(path, path.parent) as aside, hold(aside, "writes"):
         write_aside(aside / path.name, bytes(ROOM))
 
 
@@ -186,7 +191,7 @@ def folder_aside(path: Path, told: Path | None = None) -> Iterator[Path]:
 
 def remove_killed(path: Path) -> None:
     """Remove folders beside `path` that killed processes left: their locks are free or missing."""
-    for left in path.parent.glob(f".{path.name}.*"):
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*"):
         if not ASIDE.fullmatch(left.name) or left.is_symlink():
             continue
         if (left / LOCK).exists():
