@@ -166,6 +166,22 @@ print(go(1), sum(go.stats.cache_hits.values()))
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_compiled_code_is_new_after_an_edit_of_a_kernel_further_down_in_its_file(tmp_path):
+    program, told = tmp_path / "program.py", []
+    for more in (1, 1, 5):
+        program.write_text(f"""
+from astray.kernel.jit import entry, kernel
+@entry
+def go(x): return moved(x)
+@kernel
+def moved(x): return x + {more}
+print(go(1), sum(go.stats.cache_hits.values()))
+""")
+        told.append(ran(program, NUMBA_CACHE_DIR=str(tmp_path / "cache")))
+    assert told == [["2", "0"], ["2", "1"], ["6", "0"]]
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_compiled_code_is_new_after_a_change_of_a_value_that_a_module_reads(tmp_path):
     program, values, told = tmp_path / "program.py", tmp_path / "values.json", []
     program.write_text(READ)

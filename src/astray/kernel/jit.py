@@ -61,7 +61,7 @@ def code_digest(function: Any) -> str | None:
     for name, part in _parts("", function):
         is_function = isinstance(part, FunctionType)
         told.extend(_frozen(name, part, called) if is_function else [(name, part)])
-    return provenance.digest(called, data=sorted(told, key=repr))
+    return provenance.digest(function, called, data=sorted(told, key=repr))
 
 
 def _parts(name: str, part: Any) -> Iterator[tuple[str, Any]]:
