@@ -79,6 +79,11 @@ def test_the_kernels_round_to_bfloat16_and_pass_the_relu_as_torch_does():
         ends, rows, values, kept, grad.view(torch.int16).numpy()[None], sums[None], passed
     )
     assert (passed == grad.float().where(expected > 0, 0).numpy()).all()
+    output, exact = torch.randn(len(sums)), sums[None].copy()
+    sparse.pass_relu(exact, output.numpy()[None], kept)
+    expected = torch.from_numpy(sums).where(output > 0, 0)
+    assert (exact[0] == expected.numpy()).all()
+    assert (kept[0] == expected.bfloat16().view(torch.int16).numpy()).all()
 
 
 def test_the_fused_loss_is_the_plain_one():
