@@ -13,7 +13,7 @@ PACKAGE = Path(astray.__file__).parent
 FILES = sorted([*TESTS.rglob("*.py"), *PACKAGE.glob("games/*/tests/*.py")])
 # Lines of Python, JavaScript, CSS and HTML in the package, without tests. The aim is 44,000, and a
 # commit that raises this says what for.
-MOST = 55337
+MOST = 55_337
 # No part of the package: an attack on it, benchmarks, examples, any input, what tests share.
 OTHERS = {"attack", "benchmarks", "examples", "fuzz", "helpers", "reference"}
 

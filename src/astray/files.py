@@ -91,7 +91,7 @@ def _check_regular(path: Path, found: os.stat_result, most: int) -> None:
 def check_writable(path: Path) -> None:
     """Raise OSError unless a file of `ROOM` bytes can be written.
 
-    Folders that killed processes left of this are removed.
+    What killed checks of the same file left is removed.
     """
     check_own(path)
     remove_killed(path)

@@ -1,6 +1,6 @@
 """Arrays whose references compiled code does not count, since their owners outlive the call.
 
-Counting them took half of a step with symbols, a fifth of one with images, and more in threads.
+Counting them took half of a step of Maze with symbols, and some sixth of one with images.
 """
 
 from typing import Any
