@@ -91,7 +91,7 @@ def _check_regular(path: Path, found: os.stat_result, most: int) -> None:
 def check_writable(path: Path) -> None:
     """Raise OSError unless a file of `ROOM` bytes can be written.
 
-    What killed checks of the same file left is removed.
+    Folders that killed checks of the same file left are removed.
     """
     check_own(path)
     remove_killed(path)
